@@ -1,0 +1,69 @@
+"""The scan: LiDAR returns with their rings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph.errors import InputError
+from optshape_graph.sensor import SensorModel
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Returns of one LiDAR, of one revolution or part of it.
+
+    Attributes:
+        points: (N, 3) metres, LiDAR frame, all finite.
+        ring: (N,) ring of each return, counted from the lowest elevation; None: the cloud has no rings.
+        intensity: (N,) as recorded, or None.
+        time: (N,) seconds, relative to the scan's stamp, or None.
+        sensor: the sensor that made it, if known.
+        name: where it came from, for messages.
+
+    Raises:
+        InputError: shapes that do not fit, or points that are not finite.
+    """
+
+    points: Floats
+    ring: Ints | None = None
+    intensity: Floats | None = None
+    time: Floats | None = None
+    sensor: SensorModel | None = None
+    name: str = "scan"
+
+    def __post_init__(self) -> None:
+        points = frozen(self.points)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise InputError(f"{self.name}: expected points as N x 3, found shape {points.shape}")
+        if not np.isfinite(points).all():
+            raise InputError(f"{self.name}: {int((~np.isfinite(points).all(axis=1)).sum())} points are not finite")
+        object.__setattr__(self, "points", points)
+        for field, dtype in (("ring", np.int64), ("intensity", np.float64), ("time", np.float64)):
+            values = getattr(self, field)
+            if values is None:
+                continue
+            values = frozen(values, dtype)
+            if values.shape != (len(points),):
+                raise InputError(f"{self.name}: {len(points)} points but {field} of shape {values.shape}")
+            object.__setattr__(self, field, values)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def select(self, index: NDArray[np.bool_] | NDArray[np.int64]) -> Scan:
+        """Return the returns that a mask or an index array picks, with all their fields."""
+
+        def pick(values: Floats | Ints | None) -> NDArray[np.float64] | NDArray[np.int64] | None:
+            return None if values is None else values[index]
+
+        return replace(
+            self,
+            points=self.points[index],
+            ring=pick(self.ring),
+            intensity=pick(self.intensity),
+            time=pick(self.time),
+        )

@@ -1,0 +1,79 @@
+"""The sensor: where its rings look, how finely it samples, and how it errs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class SensorModel:
+    """A spinning multi-beam LiDAR.
+
+    Attributes:
+        elevations: (R,) rad, strictly increasing: ring r looks at elevations[r].
+        name: what results call it.
+        azimuth_step: rad between two firings of a beam; None: estimated from the returns.
+        range_noise: standard deviation of one range, metres.
+        ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
+        beam_divergence: full angle of the beam, rad.
+
+    Raises:
+        InputError: elevations not increasing or out of +-90 deg, or a negative or non-finite parameter.
+    """
+
+    elevations: Floats
+    name: str = "lidar"
+    azimuth_step: float | None = None
+    range_noise: float = 0.01
+    ring_bias: float = 0.01
+    beam_divergence: float = 0.0
+
+    def __post_init__(self) -> None:
+        elevations = frozen(self.elevations)
+        if elevations.ndim != 1 or len(elevations) == 0 or not np.isfinite(elevations).all():
+            raise InputError(f"sensor '{self.name}': expected a list of finite elevations")
+        if (np.diff(elevations) <= 0).any():
+            k = int((np.diff(elevations) <= 0).argmax())
+            raise InputError(
+                f"sensor '{self.name}': elevations run from the lowest ring up; "
+                f"number {k + 1} ({np.degrees(elevations[k + 1]):g} deg) does not exceed "
+                f"number {k} ({np.degrees(elevations[k]):g} deg)"
+            )
+        if np.abs(elevations).max() >= np.pi / 2:
+            raise InputError(
+                f"sensor '{self.name}': elevation {np.degrees(np.abs(elevations).max()):g} deg is not within +-90 deg"
+            )
+        for field in ("range_noise", "ring_bias", "beam_divergence"):
+            value = getattr(self, field)
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"sensor '{self.name}': {field} {value} is not a number >= 0")
+        step = self.azimuth_step
+        if step is not None and not (np.isfinite(step) and 0 < step < np.pi):
+            raise InputError(f"sensor '{self.name}': azimuth step {step} rad is not within (0, pi)")
+        object.__setattr__(self, "elevations", elevations)
+
+    @property
+    def n_rings(self) -> int:
+        """Number of rings."""
+        return len(self.elevations)
+
+    def with_azimuth_step(self, step: float | None) -> SensorModel:
+        """Return the sensor with another azimuth step, rad."""
+        return replace(self, azimuth_step=step)
+
+    def nearest_ring(self, elevations: ArrayLike) -> Ints:
+        """(N,) index of the ring nearest to each of (N,) elevations, rad."""
+        wanted = np.asarray(elevations, dtype=float)
+        above = np.searchsorted(self.elevations, wanted).clip(1, max(self.n_rings - 1, 1))
+        if self.n_rings == 1:
+            return np.zeros(wanted.shape, dtype=np.int64)
+        below = above - 1
+        nearer_below = wanted - self.elevations[below] <= self.elevations[above] - wanted
+        return np.where(nearer_below, below, above)
+

@@ -1,0 +1,206 @@
+"""The target: a planar convex polygon, its edges and its symmetry group.
+
+Target frame: plane x = 0, origin at the vertex mean, vertices counter-clockwise seen from +x
+(y right, z up). The sensor is on the -x side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optshape_graph._arrays import Floats, frozen
+from optshape_graph.errors import InputError
+
+LARGEST_EXTENT_M = 50.0
+"""A target wider than this is taken for one given in millimetres."""
+
+SYMMETRY_TOLERANCE = 5e-3
+"""Vertex mismatch, relative to the circumradius, under which a rotation counts as a symmetry."""
+
+
+@dataclass(frozen=True)
+class Chessboard:
+    """A chessboard printed on a target.
+
+    Attributes:
+        inner_corners: number of inner corners along the target's z and y axes.
+        square: side of a square, metres.
+        offset: (y, z) of the pattern's centre in the target frame, metres.
+    """
+
+    inner_corners: tuple[int, int]
+    square: float
+    offset: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A planar convex polygon with n >= 3 vertices.
+
+    Edge k runs from vertex k to vertex k + 1 (mod n).
+
+    Attributes:
+        vertices: (n, 3) metres, target frame, x = 0, counter-clockwise seen from +x, mean at the origin.
+        name: what results call it.
+        chessboard: the pattern printed on it, if any.
+
+    Raises:
+        InputError: fewer than three vertices, not finite, not planar, not centred, not strictly convex,
+            clockwise, or of a size that no target in metres has.
+    """
+
+    vertices: Floats
+    name: str = "target"
+    chessboard: Chessboard | None = None
+
+    def __post_init__(self) -> None:
+        vertices = frozen(self.vertices)
+        _check_vertices(vertices, self.name)
+        object.__setattr__(self, "vertices", vertices)
+
+    @classmethod
+    def from_polygon(cls, yz: ArrayLike, name: str = "target") -> Target:
+        """Make a target of a polygon drawn anywhere in its plane: the vertex mean becomes the origin.
+
+        Args:
+            yz: (n, 2) vertices, metres, y right and z up seen from +x, counter-clockwise.
+            name: what results call it.
+        """
+        polygon = np.asarray(yz, dtype=float)
+        if polygon.ndim != 2 or polygon.shape[1] != 2:
+            raise InputError(f"target '{name}': expected (n, 2) vertices, found shape {polygon.shape}")
+        centred = polygon - polygon.mean(axis=0)
+        return cls(np.column_stack([np.zeros(len(centred)), centred]), name)
+
+    def __len__(self) -> int:
+        return len(self.vertices)
+
+    @cached_property
+    def polygon(self) -> Floats:
+        """(n, 2) vertices in the plane, (y, z), metres."""
+        return frozen(self.vertices[:, 1:])
+
+    @cached_property
+    def normals(self) -> Floats:
+        """(n, 2) outward unit normals of the edges, in the plane."""
+        edges = np.roll(self.polygon, -1, axis=0) - self.polygon
+        outward = np.column_stack([edges[:, 1], -edges[:, 0]])
+        return frozen(outward / np.linalg.norm(edges, axis=1, keepdims=True))
+
+    @cached_property
+    def offsets(self) -> Floats:
+        """(n,) edge offsets c_k, metres: a point of edge k satisfies normals[k] . (y, z) = c_k."""
+        return frozen(np.einsum("ij,ij->i", self.normals, self.polygon))
+
+    @cached_property
+    def edge_lengths(self) -> Floats:
+        """(n,) edge lengths, metres."""
+        return frozen(np.linalg.norm(np.roll(self.polygon, -1, axis=0) - self.polygon, axis=1))
+
+    @cached_property
+    def area(self) -> float:
+        """Area, square metres."""
+        return _signed_area(self.polygon)
+
+    @cached_property
+    def circumradius(self) -> float:
+        """Largest distance of a vertex from the origin, metres."""
+        return float(np.linalg.norm(self.polygon, axis=1).max())
+
+    @cached_property
+    def symmetries(self) -> tuple[float, ...]:
+        """Angles about +x, rad, by which the target can be turned onto itself; the first is 0.
+
+        The sensor is on the -x side always, so mirror images through the plane do not count.
+        """
+        n, polygon = len(self), self.polygon[:, 0] + 1j * self.polygon[:, 1]
+        angles = [0.0]
+        for shift in range(1, n):
+            turned = np.roll(polygon, -shift)
+            angle = float(np.angle(np.vdot(polygon, turned)))
+            mismatch = np.abs(polygon * np.exp(1j * angle) - turned).max()
+            if mismatch <= SYMMETRY_TOLERANCE * self.circumradius:
+                angles.append(angle % (2 * np.pi))
+        return tuple(sorted(angles))
+
+    @cached_property
+    def symmetry_rotations(self) -> tuple[Floats, ...]:
+        """Rotations (3, 3) of `symmetries`: T_lidar_target @ S describes the same placement of the target."""
+        return tuple(frozen(_rotation_x(angle)) for angle in self.symmetries)
+
+    def scaled(self, factor: float) -> Target:
+        """Return the target scaled about its origin; the chessboard, being a print, is dropped."""
+        if not (np.isfinite(factor) and factor > 0):
+            raise InputError(f"target '{self.name}': scale {factor} is not a positive number")
+        return Target(self.vertices * factor, self.name)
+
+    def scaled_to_area(self, area: float) -> Target:
+        """Return the target scaled about its origin to `area`, square metres."""
+        if not (np.isfinite(area) and area > 0):
+            raise InputError(f"target '{self.name}': area {area} m2 is not a positive number")
+        return self.scaled(float(np.sqrt(area / self.area)))
+
+    def contains(self, yz: ArrayLike, margin: float = 0.0) -> np.ndarray:
+        """Say of (N, 2) points of the plane whether they lie inside, or outside by at most `margin` metres."""
+        return np.asarray(self.outside_distance(yz) <= margin)
+
+    def outside_distance(self, yz: ArrayLike) -> Floats:
+        """(N,) largest signed distance of (N, 2) points beyond an edge line, metres: negative inside."""
+        points = np.asarray(yz, dtype=float)
+        return np.asarray((points @ self.normals.T - self.offsets).max(axis=1))
+
+
+def _rotation_x(angle: float) -> Floats:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def _signed_area(polygon: Floats) -> float:
+    y, z = polygon.T
+    return float(0.5 * np.sum(y * np.roll(z, -1) - np.roll(y, -1) * z))
+
+
+def _check_vertices(vertices: Floats, name: str) -> None:
+    def fail(problem: str) -> InputError:
+        return InputError(f"target '{name}': {problem}")
+
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise fail(f"expected vertices as n x 3 (x, y, z), found shape {vertices.shape}")
+    if len(vertices) < 3:
+        raise fail(f"{len(vertices)} vertices do not close a polygon; at least 3 are expected")
+    if not np.isfinite(vertices).all():
+        raise fail("a vertex is not a finite number")
+    extent = float(np.ptp(vertices, axis=0).max())
+    if extent > LARGEST_EXTENT_M:
+        raise fail(f"it is {extent:g} m wide; vertices are in metres (are these millimetres?)")
+    if extent < 1e-3:
+        raise fail(f"it is {extent:g} m wide; expected a polygon of some size, in metres")
+    if np.abs(vertices[:, 0]).max() > 1e-6:
+        raise fail(f"vertices lie in the plane x = 0; found x = {vertices[np.abs(vertices[:, 0]).argmax(), 0]:g}")
+    mean = vertices.mean(axis=0)
+    if np.abs(mean).max() > 1e-3 * extent:
+        raise fail(
+            f"the vertex mean is the origin; found (y, z) = ({mean[1]:.6g}, {mean[2]:.6g}): subtract it from all vertices"
+        )
+    polygon = vertices[:, 1:]
+    edges = np.roll(polygon, -1, axis=0) - polygon
+    short = np.linalg.norm(edges, axis=1) < 1e-6 * extent
+    if short.any():
+        k = int(short.argmax())
+        raise fail(
+            f"vertices {k} and {(k + 1) % len(vertices)} coincide; list each once (the polygon closes by itself)"
+        )
+    following = np.roll(edges, -1, axis=0)
+    turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
+    turns /= np.linalg.norm(edges, axis=1) * np.linalg.norm(following, axis=1)
+    if _signed_area(polygon) < 0:
+        raise fail("vertices run clockwise; expected counter-clockwise seen from +x (y right, z up)")
+    winding = np.arctan2(turns, np.einsum("ij,ij->i", edges, following) / np.linalg.norm(edges, axis=1)
+                         / np.linalg.norm(following, axis=1)).sum()
+    if turns.min() < 1e-6 or winding > 3 * np.pi:
+        k = (int(turns.argmin()) + 1) % len(vertices)
+        raise fail(f"the polygon is not strictly convex at vertex {k}")
