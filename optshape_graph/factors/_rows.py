@@ -1,0 +1,47 @@
+"""Stacked linear rows: the checks and the compression that every measurement shares."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optshape_graph._arrays import Floats
+from optshape_graph.errors import InputError
+
+
+def checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    """Return `values` as floats, or raise an InputError; -1 in `shape` stands for any length."""
+    array = np.asarray(values, dtype=float)
+    fits = array.ndim == len(shape) and all(s in (-1, a) for a, s in zip(array.shape, shape, strict=True))
+    if not fits:
+        expected = " x ".join("N" if s == -1 else str(s) for s in shape)
+        raise InputError(f"{name}: expected {expected}, found shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{name}: {int((~np.isfinite(array)).sum())} of {array.size} values are not finite")
+    return array
+
+
+def triangular(stack: Floats) -> Floats:
+    """Return the (n, n) upper triangular factor of rows (m, n): the same quadratic form, whatever m is.
+
+    Tall stacks are reduced in blocks that stay in cache (tall-skinny QR; Demmel et al., SIAM J. Sci. Comput. 2012),
+    which is faster than one factorisation and keeps a threaded BLAS from being started for thin panels.
+    """
+    n = stack.shape[1]
+    block = 8 * n
+    while len(stack) > 2 * block:
+        whole = len(stack) // block * block
+        blocks = np.linalg.qr(stack[:whole].reshape(-1, block, n), mode="r")
+        stack = np.vstack([np.reshape(blocks, (-1, n)), stack[whole:]])
+    R = np.asarray(np.linalg.qr(stack, mode="r")) if len(stack) else stack
+    return np.vstack([R, np.zeros((n - len(R), n))])
+
+
+def outer_rows(directions: Floats, normals: Floats) -> Floats:
+    """Return the rows (N, 9) of n . (R q), linear in vec R (column-major), for q and n (N, 3)."""
+    return np.reshape(directions[:, :, None] * normals[:, None, :], (-1, 9))
+
+
+def in_plane(vectors: Floats) -> Floats:
+    """Return (N, 2) vectors (y, z) of the template's plane as (N, 3)."""
+    return np.column_stack([np.zeros(len(vectors)), vectors])

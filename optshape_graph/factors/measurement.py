@@ -1,0 +1,195 @@
+"""The template measurement: every point-to-edge and point-to-plane residual of a scan, in 91 numbers.
+
+Under H = T_target_lidar = (R, t) a point p on edge k of the template (in-plane outward unit normal n_k, offset c_k)
+leaves the residual n_k . (R p + t) - c_k, and any return of the target leaves e_x . (R p + t) to the plane. Both
+are linear in
+
+    z = [vec R (column-major); t]  (12),
+
+so all whitened rows of a scan stack into [A | r], whose triangular factor [L b; 0 c] keeps the cost exactly:
+1/2 ||A z + r||^2 = 1/2 ||L z + b||^2 + 1/2 c^2, at any pose, however many points there were.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optshape_graph._arrays import Floats, frozen
+from optshape_graph.errors import InputError
+from optshape_graph.factors._rows import checked, in_plane, outer_rows, triangular
+from optshape_graph.factors.se3 import inverse, vec, vec_derivative
+
+
+def edge_rows(points: ArrayLike, normals: ArrayLike, offsets: ArrayLike) -> tuple[Floats, Floats]:
+    """Return the rows A z + r of points on template edges, n_k . (R p + t) - c_k, metres, unweighted.
+
+    Args:
+        points: (N, 3) edge points, metres, LiDAR frame.
+        normals: (N, 2) outward unit normal of each point's edge, (y, z) of the target frame.
+        offsets: (N,) offset of each point's edge, metres.
+
+    Returns:
+        A (N, 12) and r (N,), linear in z = [vec R (column-major); t] of T_target_lidar.
+
+    Raises:
+        InputError: shapes that do not fit, or values that are not finite.
+    """
+    n = checked("normals", normals, (-1, 2))
+    return template_rows(points, in_plane(n), offsets)
+
+
+def template_rows(points: ArrayLike, directions: ArrayLike, offsets: ArrayLike) -> tuple[Floats, Floats]:
+    """Return the rows A z + r of m . (R p + t) - c for any direction m of the target frame, metres, unweighted.
+
+    Args:
+        points: (N, 3) metres, LiDAR frame.
+        directions: (N, 3) m, target frame: (0, n_k) for an edge, (1, 0, 0) for the plane, (-mu, n_k) for the edge
+            seen along a ray whose slope across the edge is mu.
+        offsets: (N,) c, metres.
+
+    Returns:
+        A (N, 12) and r (N,), linear in z = [vec R (column-major); t] of T_target_lidar.
+
+    Raises:
+        InputError: shapes that do not fit, or values that are not finite.
+    """
+    p = checked("points", points, (-1, 3))
+    m = checked("directions", directions, (len(p), 3))
+    return np.hstack([outer_rows(p, m), m]), -checked("offsets", offsets, (len(p),))
+
+
+def plane_rows(points: ArrayLike) -> tuple[Floats, Floats]:
+    """Return the rows A z + r of points on the template's plane, e_x . (R p + t), metres, unweighted.
+
+    Args:
+        points: (N, 3) returns of the target, metres, LiDAR frame.
+
+    Returns:
+        A (N, 12) and r (N,), linear in z = [vec R (column-major); t] of T_target_lidar.
+
+    Raises:
+        InputError: points that are not N x 3, or not finite.
+    """
+    p = checked("points", points, (-1, 3))
+    A = np.zeros((len(p), 12))
+    A[:, [0, 3, 6]] = p
+    A[:, 9] = 1.0
+    return A, np.zeros(len(p))
+
+
+@dataclass(frozen=True, eq=False)
+class TemplateMeasurement:
+    """The cost 1/2 ||L z + b||^2 + 1/2 c^2 of one target in one scan, z = [vec R (column-major); t] of T_target_lidar.
+
+    Plain data: it pickles, it does not grow with the number of points, and measurements of one placement whose
+    errors are independent add up (`+`). Scans of a static scene share the bias of their rings: see `fuse_static`.
+
+    Attributes:
+        L: (12, 12) upper triangular.
+        b: (12,).
+        c: what remains at the best z, even where that is not a rigid transform.
+        n_rows: number of scalar residuals it was made of: its degrees of freedom are these, not 12.
+        T_target_lidar: (4, 4) pose it was taken at: where it is summarised unless another is given.
+
+    Raises:
+        InputError: shapes that do not fit, or values that are not finite.
+    """
+
+    L: Floats
+    b: Floats
+    c: float
+    n_rows: int
+    T_target_lidar: Floats
+
+    def __post_init__(self) -> None:
+        for field, shape in (("L", (12, 12)), ("b", (12,)), ("T_target_lidar", (4, 4))):
+            object.__setattr__(self, field, frozen(checked(f"measurement {field}", getattr(self, field), shape)))
+        if not np.isfinite(self.c):
+            raise InputError(f"measurement c is {self.c}; expected a finite number")
+
+    @classmethod
+    def from_rows(cls, A: ArrayLike, r: ArrayLike, T_target_lidar: ArrayLike) -> TemplateMeasurement:
+        """Compress whitened rows A z + r.
+
+        Args:
+            A: (m, 12) whitened rows, any m.
+            r: (m,) whitened constants.
+            T_target_lidar: (4, 4) pose the measurement is taken at.
+
+        Raises:
+            InputError: shapes that do not fit, or values that are not finite.
+        """
+        rows = checked("rows", A, (-1, 12))
+        constants = checked("constants", r, (len(rows),))
+        return cls.from_stack(np.column_stack([rows, constants]), len(rows), T_target_lidar)
+
+    @classmethod
+    def from_stack(cls, stack: Floats, n_rows: int, T_target_lidar: ArrayLike) -> TemplateMeasurement:
+        """Compress rows (m, 13), linear in [z; 1], that stand for `n_rows` residuals."""
+        R = triangular(stack)
+        return cls(R[:12, :12], R[:12, 12], abs(float(R[12, 12])), n_rows, np.asarray(T_target_lidar, float))
+
+    @property
+    def stack(self) -> Floats:
+        """(13, 13) rows [L b; 0 c]: the measurement as thirteen residuals, linear in [z; 1]."""
+        return np.block([[self.L, self.b[:, None]], [np.zeros((1, 12)), np.full((1, 1), self.c)]])
+
+    def __add__(self, other: TemplateMeasurement) -> TemplateMeasurement:
+        """Return the measurement of both scans, errors independent, taken at the pose of the first."""
+        if not isinstance(other, TemplateMeasurement):
+            return NotImplemented
+        return self.from_stack(np.vstack([self.stack, other.stack]), self.n_rows + other.n_rows, self.T_target_lidar)
+
+    def at(self, T_target_lidar: ArrayLike) -> TemplateMeasurement:
+        """Return the same measurement, taken at another pose (4, 4)."""
+        return replace(self, T_target_lidar=np.asarray(T_target_lidar, float))
+
+    def substituted(self, T_target_a: ArrayLike, T_b_lidar: ArrayLike | None = None) -> TemplateMeasurement:
+        """Return the measurement as one of T_a_b, where T_target_lidar = T_target_a T_a_b T_b_lidar.
+
+        The entries of T_target_lidar are linear in those of T_a_b, so this is exact too.
+
+        Args:
+            T_target_a: (4, 4) known transform on the left.
+            T_b_lidar: (4, 4) known transform on the right; None: the identity.
+        """
+        A = np.asarray(T_target_a, float)
+        B = np.eye(4) if T_b_lidar is None else np.asarray(T_b_lidar, float)
+        # Columns of the upper 3 x 4 of A T B: R_A [R t] B + t_A e_4^T.
+        M = np.eye(13)
+        M[:12, :12] = np.kron(B.T, A[:3, :3])
+        M[9:12, 12] = A[:3, 3]
+        return self.from_stack(self.stack @ M, self.n_rows, inverse(A) @ self.T_target_lidar @ inverse(B))
+
+    def residual(self, T_target_lidar: ArrayLike) -> Floats:
+        """Return L z + b (12,) at a pose (4, 4)."""
+        return self.L @ vec(np.asarray(T_target_lidar, float)) + self.b
+
+    def jacobian(self, T_target_lidar: ArrayLike) -> Floats:
+        """Return the derivative (12, 6) of the residual by a right perturbation of T_target_lidar, rotation first."""
+        return self.L @ vec_derivative(np.asarray(T_target_lidar, float))
+
+    def error(self, T_target_lidar: ArrayLike) -> float:
+        """Return 1/2 ||L z + b||^2 + 1/2 c^2 at a pose (4, 4): half the sum of the squared whitened rows."""
+        residual = self.residual(T_target_lidar)
+        return 0.5 * float(residual @ residual) + 0.5 * self.c**2
+
+    def gradient(self, T_target_lidar: ArrayLike) -> Floats:
+        """Return the gradient (6,) of the error by a right perturbation of T_target_lidar, rotation first."""
+        return self.jacobian(T_target_lidar).T @ self.residual(T_target_lidar)
+
+    def information(self, T_target_lidar: ArrayLike | None = None) -> Floats:
+        """Return the Gauss-Newton information (6, 6) of a right perturbation of T_target_lidar, rotation first.
+
+        Args:
+            T_target_lidar: (4, 4) where; None: at the pose the measurement was taken at.
+        """
+        J = self.jacobian(self.T_target_lidar if T_target_lidar is None else T_target_lidar)
+        return J.T @ J
+
+    def quadratic(self) -> Floats:
+        """Return Q (13, 13) with error = 1/2 [z; 1]^T Q [z; 1]."""
+        return self.stack.T @ self.stack

@@ -1,0 +1,134 @@
+"""Several scans of one static scene: range noise averages away, what the scans have in common does not.
+
+A ring keeps its range bias from scan to scan. With biases beta (one per ring, or any other error that scans share),
+a scan's whitened rows at the static pose H_hat are A z + B beta + r, and B says how far a unit of each bias moves each
+residual there. Rows of several scans add up over [beta, z, 1] first; then beta is marginalised, once, under its prior:
+
+    min over beta of 1/2 ||A z + B beta + r||^2 + 1/2 ||beta / sigma||^2,
+
+which for one scan is the same as whitening its rows with the covariance I + B diag(sigma^2) B^T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optshape_graph._arrays import Floats, frozen
+from optshape_graph.errors import InputError
+from optshape_graph.factors._rows import checked, triangular
+from optshape_graph.factors.measurement import TemplateMeasurement
+
+
+def ring_bias_columns(
+    points: ArrayLike, normals: ArrayLike, ring: ArrayLike, n_rings: int, T_target_lidar: ArrayLike
+) -> Floats:
+    """Return B (N, R): how far a metre of each ring's range bias moves each residual n . (R p + t), unweighted.
+
+    Args:
+        points: (N, 3) metres, LiDAR frame; a biased range moves a point along its ray.
+        normals: (N, 3) n of each row, target frame: (0, edge normal), or (1, 0, 0) for a row of the plane.
+        ring: (N,) ring of each point, 0 to R - 1.
+        n_rings: R, number of rings of the sensor.
+        T_target_lidar: (4, 4) where the rows are linearised.
+    """
+    p = checked("points", points, (-1, 3))
+    n = checked("normals", normals, (len(p), 3))
+    k = checked("ring", ring, (len(p),)).astype(int)
+    if len(k) and (k.min() < 0 or k.max() >= n_rings):
+        raise InputError(f"rings run from {k.min()} to {k.max()}; expected 0 to {n_rings - 1}")
+    rays = p / np.linalg.norm(p, axis=1, keepdims=True)
+    B = np.zeros((len(p), n_rings))
+    B[np.arange(len(p)), k] = np.einsum("ni,ij,nj->n", n, np.asarray(T_target_lidar, float)[:3, :3], rays)
+    return B
+
+
+@dataclass(frozen=True, eq=False)
+class BiasedMeasurement:
+    """The cost 1/2 ||S [beta; z; 1]||^2 of a target, beta being the errors that every scan of the scene shares.
+
+    Scans of one static scene by one sensor add up (`+`) before `marginal` removes beta.
+
+    Attributes:
+        stack: (n, n) S, upper triangular, n = k + 13.
+        n_rows: number of scalar residuals it was made of.
+        T_target_lidar: (4, 4) pose at which the columns of beta were linearised.
+    """
+
+    stack: Floats
+    n_rows: int
+    T_target_lidar: Floats
+
+    def __post_init__(self) -> None:
+        n = len(self.stack)
+        if n < 13:
+            raise InputError(f"biased measurement of {n} columns; expected 13 and one for each bias")
+        object.__setattr__(self, "stack", frozen(checked("biased stack", self.stack, (n, n))))
+        object.__setattr__(self, "T_target_lidar", frozen(checked("T_target_lidar", self.T_target_lidar, (4, 4))))
+
+    @classmethod
+    def from_rows(cls, A: ArrayLike, B: ArrayLike, r: ArrayLike, T_target_lidar: ArrayLike) -> BiasedMeasurement:
+        """Compress rows A z + B beta + r, whitened by what does *not* persist from scan to scan.
+
+        Args:
+            A: (m, 12) rows.
+            B: (m, k) columns of the shared errors, such as `ring_bias_columns`, whitened as A is.
+            r: (m,) constants.
+            T_target_lidar: (4, 4) pose of linearisation.
+        """
+        rows = checked("rows", A, (-1, 12))
+        columns = checked("bias columns", B, (len(rows), -1))
+        stack = np.column_stack([columns, rows, checked("constants", r, (len(rows),))])
+        return cls(triangular(stack), len(rows), np.asarray(T_target_lidar, float))
+
+    @property
+    def n_biases(self) -> int:
+        """Number of shared errors k."""
+        return len(self.stack) - 13
+
+    def __add__(self, other: BiasedMeasurement) -> BiasedMeasurement:
+        """Return the measurement of both scans: the same beta, everything else independent."""
+        if not isinstance(other, BiasedMeasurement):
+            return NotImplemented
+        if other.n_biases != self.n_biases:
+            raise InputError(f"measurements with {self.n_biases} and {other.n_biases} shared errors do not add")
+        stack = triangular(np.vstack([self.stack, other.stack]))
+        return BiasedMeasurement(stack, self.n_rows + other.n_rows, self.T_target_lidar)
+
+    def marginal(self, sigma: ArrayLike) -> TemplateMeasurement:
+        """Return the measurement of the pose alone, beta marginalised under its prior.
+
+        Args:
+            sigma: standard deviation of the shared errors, one for all or (k,), in beta's units; 0: none.
+        """
+        k = self.n_biases
+        sigmas = np.broadcast_to(np.asarray(sigma, float), (k,))
+        if not (np.isfinite(sigmas).all() and (sigmas >= 0).all()):
+            raise InputError(f"standard deviations of shared errors are {sigmas}; expected finite numbers >= 0")
+        # In units of sigma the prior's rows are the identity, and sigma = 0 needs no special case.
+        unit = self.stack.copy()
+        unit[:, :k] *= sigmas
+        R = triangular(np.vstack([np.eye(k, k + 13), unit]))
+        return TemplateMeasurement.from_stack(R[k:, k:], self.n_rows, self.T_target_lidar)
+
+
+def fuse_static(measurements: Sequence[BiasedMeasurement], sigma: ArrayLike) -> TemplateMeasurement:
+    """Fuse scans of one static scene: one target, one LiDAR, neither of which moved.
+
+    However many scans there are, the result is no more certain than the shared errors allow.
+
+    Args:
+        measurements: one for each scan, their bias columns in the same order and linearised at one pose.
+        sigma: standard deviation of the shared errors, one for all or (k,), in their units.
+
+    Raises:
+        InputError: no measurement, or different numbers of shared errors.
+    """
+    if not measurements:
+        raise InputError("no measurement to fuse")
+    return reduce(add, measurements).marginal(sigma)

@@ -1,0 +1,64 @@
+"""A template measurement as a GTSAM factor, exact: compiled on one pose, and as the callback it is tested against."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optshape_graph._arrays import Floats
+from optshape_graph.factors._callback import CheckedFactor, relative_pose
+from optshape_graph.factors._noise import gaussian
+from optshape_graph.factors.measurement import TemplateMeasurement
+from optshape_graph.factors.se3 import vec, vec_derivative
+
+# Where z and the constant 1 sit in vec of the 4 x 4 matrix, column-major.
+_Z = np.array([0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14])
+_ONE = 15
+
+
+def TemplateFactor(
+    measurement: TemplateMeasurement,
+    key: int,
+    T_target_a: ArrayLike | None = None,
+    T_b_lidar: ArrayLike | None = None,
+) -> gtsam.FrobeniusPriorPose3:
+    """Return the exact point-to-line factor of a measurement, compiled: no callback, whatever the number of points.
+
+    A Frobenius prior's residual is S (vec T - vec M), linear in the 16 entries of T. With M = 0 the last of them,
+    which is 1, carries the constants: S [z; 1] = [L z + b; c], so the factor's error is the measurement's own.
+
+    Args:
+        measurement: of T_target_lidar.
+        key: of the pose T_a_b with T_target_lidar = T_target_a T_a_b T_b_lidar; of T_target_lidar itself when
+            neither transform is given. So a LiDAR pose facing a known target, T_world_lidar, takes
+            T_target_a = T_target_world; an extrinsic takes what is on both of its sides.
+        T_target_a: (4, 4) known transform on the left; None: the identity.
+        T_b_lidar: (4, 4) known transform on the right; None: the identity.
+    """
+    if T_target_a is not None or T_b_lidar is not None:
+        measurement = measurement.substituted(np.eye(4) if T_target_a is None else T_target_a, T_b_lidar)
+    S = np.zeros((16, 16))
+    S[:12, _Z] = measurement.L
+    S[:12, _ONE] = measurement.b
+    S[12, _ONE] = measurement.c
+    return gtsam.FrobeniusPriorPose3(key, np.zeros((4, 4)), gaussian(S))
+
+
+def TemplateCallbackFactor(measurement: TemplateMeasurement, *keys: int) -> gtsam.CustomFactor:
+    """Return the exact factor as a Python callback: the reference, and the exact factor between two poses.
+
+    It costs a copy of all values in each evaluation by GTSAM's optimisers: `SummaryFactor` is what large graphs take.
+
+    Args:
+        measurement: of T_target_lidar.
+        keys: that of T_target_lidar, or those of T_world_target and T_world_lidar.
+    """
+
+    def evaluate(values: gtsam.Values) -> tuple[Floats, list[Floats]]:
+        H, derivatives = relative_pose(values, keys)
+        residual = np.append(measurement.L @ vec(H) + measurement.b, measurement.c)
+        J = np.vstack([measurement.L @ vec_derivative(H), np.zeros(6)])
+        return residual, [J @ derivative for derivative in derivatives]
+
+    return CheckedFactor(evaluate, 13, keys, [6] * len(keys))

@@ -1,0 +1,184 @@
+"""Candidate poses of a target in the plane of its returns, from every labelling of its edge points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optshape_graph._arrays import Floats, Ints
+from optshape_graph.edges import EdgePoints
+from optshape_graph.errors import EstimationError
+from optshape_graph.pose.labelling import MAX_LABELLINGS, count_labellings, enumerate_labellings
+from optshape_graph.target import Target
+
+_ANGLES = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
+_PAIRS = np.triu_indices(5)
+_REFINED = 200  # labellings whose angle is refined from the grid's
+
+
+@dataclass(frozen=True, eq=False)
+class ReturnsPlane:
+    """The plane of the returns, with axes like the target's: away from the sensor, left, up.
+
+    Attributes:
+        axes: (3, 3) rows: the plane's unit normal pointing away from the sensor, the direction in the plane in
+            which azimuth grows, and the one in which elevation grows. LiDAR frame.
+        centre: (3,) a point of the plane, metres, LiDAR frame.
+    """
+
+    axes: Floats
+    centre: Floats
+
+
+def fit_plane(points: Floats, ring: Ints | None) -> ReturnsPlane:
+    """Fit a plane to a target's returns; rings weigh by how many returns they have, but not in proportion.
+
+    A ring's range bias does not average away, so a ring counts at most like a few of its returns.
+
+    Args:
+        points: (N, 3) metres, LiDAR frame.
+        ring: (N,) or None.
+
+    Raises:
+        EstimationError: the returns do not span a plane, or the plane passes through the sensor.
+    """
+    if len(points) < 3:
+        raise EstimationError(f"{len(points)} returns do not span a plane")
+    weights = np.ones(len(points))
+    if ring is not None:
+        _, inverse, counts = np.unique(ring, return_inverse=True, return_counts=True)
+        weights = (1.0 / (1.0 + counts))[inverse]
+    weights /= weights.sum()
+    centre = weights @ points
+    centred = (points - centre) * np.sqrt(weights)[:, None]
+    _, spreads, directions = np.linalg.svd(centred, full_matrices=False)
+    if spreads[1] < 1e-3:
+        raise EstimationError(f"{len(points)} returns lie on a line (they spread {spreads[1] * 1e3:.2g} mm beside it)")
+    normal = directions[2]
+    distance = float(normal @ centre)
+    if abs(distance) < 1e-2 * float(np.linalg.norm(centre)):
+        raise EstimationError("the plane of the returns passes through the sensor: it is seen edge-on")
+    normal = normal * np.sign(distance)
+    turning = np.array([-centre[1], centre[0], 0.0])
+    left = turning - centre * (turning @ normal) / (normal @ centre)
+    left -= normal * (left @ normal)
+    left /= np.linalg.norm(left)
+    return ReturnsPlane(np.array([normal, left, np.cross(normal, left)]), centre)
+
+
+NEAR, FAR = 5, 4
+"""How many of the best poses are kept that differ a little, and how many beside them that differ much."""
+
+
+def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> Floats:
+    """Solve the in-plane pose of every labelling, and keep the best that differ.
+
+    With edge points moved outwards by half an azimuth step, the residual of point q on edge k is
+    n_k . (C q + t) - c_k, linear in (cos, sin, t_y, t_z): the normal matrix of a labelling is a sum over its points,
+    t is eliminated, and the angle minimises a quadratic form on the circle.
+
+    Args:
+        edges: both ends of each ring.
+        plane: of all returns.
+        target: the template.
+
+    Returns:
+        T_target_lidar (C, 4, 4), best first.
+    """
+    count = max(2, _rings_that_fit(len(target), edges.n_rings))
+    picked = np.unique(np.linspace(0, edges.n_rings - 1, min(count, edges.n_rings)).round().astype(int))
+    rows = np.column_stack([2 * picked, 2 * picked + 1]).ravel()
+    outward = edges.outward(plane.axes[0])[rows]
+    inset = 0.5 * edges.azimuth_step / edges.revolutions[rows]
+    q = ((edges.points[rows] + inset[:, None] * outward - plane.centre) @ plane.axes.T)[:, 1:]
+
+    n = target.normals
+    columns = np.stack(np.broadcast_arrays(
+        q @ n.T,  # multiplies the cosine
+        np.outer(q[:, 0], n[:, 1]) - np.outer(q[:, 1], n[:, 0]),  # the sine
+        n[:, 0], n[:, 1], target.offsets,
+    ))  # fmt: skip
+    products = (columns[_PAIRS[0]] * columns[_PAIRS[1]]).reshape(15, -1).T
+    _, indicators = enumerate_labellings(len(target), len(picked))
+    sums = indicators @ products
+    G = np.empty((len(sums), 5, 5))
+    G[:, _PAIRS[0], _PAIRS[1]] = G[:, _PAIRS[1], _PAIRS[0]] = sums
+
+    by_t, rest = G[:, 2:4, 2:4] + 1e-9 * len(q) * np.eye(2), G[:, [0, 1, 4]][:, :, [0, 1, 4]]
+    cross = G[:, 2:4][:, :, [0, 1, 4]]
+    K = np.linalg.solve(by_t, cross)
+    form = rest - np.swapaxes(cross, 1, 2) @ K
+    angle, cost = _minimise_on_circle(form, _REFINED)
+    order = np.argsort(cost)[:_REFINED]
+    angle, K = angle[order], K[order]
+
+    x = np.stack([np.cos(angle), np.sin(angle), -np.ones_like(angle)], axis=-1)
+    t = -np.einsum("kij,kj->ki", K, x)
+    near = _different(angle, t, np.radians(1.5), 0.01 * target.circumradius, NEAR)
+    far = _different(angle, t, np.radians(15.0), 0.3 * target.circumradius, FAR)
+    chosen = np.union1d(near, far)
+    return _poses(angle[chosen], t[chosen], plane)
+
+
+def _rings_that_fit(n_edges: int, n_rings: int) -> int:
+    """Largest number of rings, up to `n_rings`, whose labellings are few enough."""
+    while n_rings > 2 and count_labellings(n_edges, n_rings) > MAX_LABELLINGS:
+        n_rings -= 1
+    return n_rings
+
+
+def _minimise_on_circle(form: Floats, refine: int) -> tuple[Floats, Floats]:
+    """Minimise v^T F v, v = (cos, sin, -1), for forms (K, 3, 3): angles (K,) and values (K,).
+
+    All on a grid, then the `refine` best by Newton steps.
+    """
+    grid = np.stack([np.cos(_ANGLES), np.sin(_ANGLES), -np.ones_like(_ANGLES)], axis=-1)
+    outer = np.einsum("ai,aj->aij", grid, grid).reshape(len(grid), 9)
+    values = form.reshape(-1, 9) @ outer.T
+    best = values.argmin(axis=1)
+    angle, value = _ANGLES[best], values[np.arange(len(best)), best]
+    top = np.argpartition(value, refine)[:refine] if len(value) > refine else np.arange(len(value))
+    phi, F = angle[top], form[top]
+    for _ in range(4):
+        c, s, zero = np.cos(phi), np.sin(phi), np.zeros_like(phi)
+        v = np.stack([c, s, zero - 1], axis=-1)
+        d = np.stack([-s, c, zero], axis=-1)
+        Fv, Fd = np.einsum("kij,kj->ki", F, v), np.einsum("kij,kj->ki", F, d)
+        slope = np.einsum("ki,ki->k", d, Fv)
+        curvature = np.einsum("ki,ki->k", d, Fd) - np.einsum("ki,ki->k", v + [0, 0, 1], Fv)
+        phi = phi - np.clip(slope / np.where(curvature > 0, curvature, np.inf), -0.1, 0.1)
+    v = np.stack([np.cos(phi), np.sin(phi), -np.ones_like(phi)], axis=-1)
+    rest = np.full(len(value), np.inf)
+    rest[top] = np.einsum("ki,kij,kj->k", v, F, v)
+    angle = angle.copy()
+    angle[top] = phi
+    return angle, rest
+
+
+def _different(angle: Floats, t: Floats, turn: float, move: float, count: int) -> Ints:
+    """Indices of the first `count` poses that differ from all before by an angle `turn` or a distance `move`."""
+    kept: list[int] = []
+    for k in range(len(angle)):
+        turned = np.abs(np.angle(np.exp(1j * (angle[kept] - angle[k]))))
+        moved = np.linalg.norm(t[kept] - t[k], axis=1)
+        if not ((turned < turn) & (moved < move)).any():
+            kept.append(k)
+        if len(kept) == count:
+            break
+    return np.array(kept, dtype=np.int64)
+
+
+def _poses(angle: Floats, t: Floats, plane: ReturnsPlane) -> Floats:
+    """T_target_lidar (C, 4, 4) of in-plane angles (C,) and translations (C, 2)."""
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.zeros((len(angle), 3, 3))
+    turn[:, 0, 0] = 1.0
+    turn[:, 1, 1] = turn[:, 2, 2] = c
+    turn[:, 1, 2], turn[:, 2, 1] = -s, s
+    T = np.zeros((len(angle), 4, 4))
+    T[:, :3, :3] = turn @ plane.axes
+    T[:, 1:3, 3] = t
+    T[:, :3, 3] -= T[:, :3, :3] @ plane.centre
+    T[:, 3, 3] = 1.0
+    return T

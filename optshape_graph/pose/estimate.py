@@ -1,0 +1,165 @@
+"""The pose of one target from its returns in one scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph.edges import EdgePoints
+from optshape_graph.factors.measurement import TemplateMeasurement
+from optshape_graph.factors.se3 import inverse, inverse_covariance
+from optshape_graph.factors.static import BiasedMeasurement
+from optshape_graph.pose.sdp import Certificate
+from optshape_graph.target import Target
+
+AMBIGUITY_MARGIN = 3.0
+"""Below this difference of log likelihoods (a factor of 20) a different pose cannot be ruled out."""
+
+UNOBSERVABLE_SD = 0.4
+"""Standard deviation, rad or target radii, beyond which a direction counts as not observable."""
+
+Status = Literal["ok", "ambiguous", "failed"]
+
+_DIRECTIONS = ("rotation about x", "rotation about y", "rotation about z",
+               "translation along x", "translation along y", "translation along z")  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Ambiguity:
+    """How much better the pose is than the best different one.
+
+    Attributes:
+        margin: difference of log likelihoods, infinite where no different pose was found.
+        T_lidar_target: (4, 4) that pose, or None.
+    """
+
+    margin: float
+    T_lidar_target: Floats | None
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEstimate:
+    """The pose of a target in a scan, and how far to believe it.
+
+    Attributes:
+        target: the template.
+        T_lidar_target: (4, 4).
+        covariance: (6, 6) of the right perturbation of T_lidar_target: rotation first, in the target's frame.
+        status: "ok"; "ambiguous" where a different pose is not ruled out; "failed" where the estimate is not to be used.
+        reason: why not "ok", else empty.
+        measurement: all whitened residuals, compressed: what factors are made of.
+        shared: the same before the errors that scans of one static scene share (ring biases, edge offset) are
+            marginalised, for `fuse_static`; each in units of its standard deviation. None for `method="paper"`.
+        certificate: of global optimality, for the association and the weights used.
+        global_association: every consistent association was considered.
+        ambiguity: margin to the best different pose.
+        edge_points: the ring ends used.
+        labels: (M,) edge of each edge point.
+        inset: (M,) azimuth by which the boundary is taken to lie beyond each edge point, rad.
+        edge_sigma: (M,) standard deviation of each edge residual, metres.
+        edge_residuals: (M,) distance of each boundary point from its edge, metres, positive outside.
+        plane_rms: root mean square distance of the returns from the target's plane, metres.
+        n_returns: number of returns.
+        unobservable: directions, in the target's frame, that the scan does not determine.
+    """
+
+    target: Target
+    T_lidar_target: Floats
+    covariance: Floats
+    status: Status
+    reason: str
+    measurement: TemplateMeasurement
+    shared: BiasedMeasurement | None
+    certificate: Certificate
+    global_association: bool
+    ambiguity: Ambiguity
+    edge_points: EdgePoints
+    labels: Ints
+    inset: Floats
+    edge_sigma: Floats
+    edge_residuals: Floats
+    plane_rms: float
+    n_returns: int
+    unobservable: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for field in ("T_lidar_target", "covariance", "inset", "edge_sigma", "edge_residuals"):
+            object.__setattr__(self, field, frozen(getattr(self, field)))
+        object.__setattr__(self, "labels", frozen(self.labels, np.int64))
+
+    @property
+    def T_target_lidar(self) -> Floats:
+        """(4, 4) inverse of T_lidar_target."""
+        return inverse(self.T_lidar_target)
+
+    @property
+    def covariance_target_lidar(self) -> Floats:
+        """(6, 6) of the right perturbation of T_target_lidar: rotation first, in the LiDAR's frame."""
+        return inverse_covariance(self.T_lidar_target, self.covariance)
+
+    @property
+    def vertices(self) -> Floats:
+        """(n, 3) vertices, LiDAR frame, metres."""
+        return np.asarray(self.target.vertices @ self.T_lidar_target[:3, :3].T + self.T_lidar_target[:3, 3])
+
+    @property
+    def vertex_covariances(self) -> Floats:
+        """(n, 3, 3) covariance of each vertex, LiDAR frame, square metres."""
+        R = self.T_lidar_target[:3, :3]
+        J = np.array([R @ np.hstack([-_skew(v), np.eye(3)]) for v in self.target.vertices])
+        return np.asarray(J @ self.covariance @ np.swapaxes(J, 1, 2))
+
+    @property
+    def edge_lines(self) -> tuple[Floats, Floats]:
+        """A point (n, 3), metres, and the unit direction (n, 3) of each edge, LiDAR frame."""
+        start = self.vertices
+        along = np.roll(start, -1, axis=0) - start
+        return start, along / np.linalg.norm(along, axis=1, keepdims=True)
+
+    @property
+    def plane(self) -> Floats:
+        """(4,) plane of the target, LiDAR frame: n . p + d = 0, n the target's +x, away from the sensor."""
+        normal = self.T_lidar_target[:3, 0]
+        return np.append(normal, -normal @ self.T_lidar_target[:3, 3])
+
+    @property
+    def equivalent_poses(self) -> Floats:
+        """(S, 4, 4) T_lidar_target of every pose that a symmetric target cannot tell apart, this one first."""
+        poses = np.tile(self.T_lidar_target, (len(self.target.symmetries), 1, 1))
+        poses[:, :3, :3] = self.T_lidar_target[:3, :3] @ np.array(self.target.symmetry_rotations)
+        return poses
+
+    @property
+    def inset_rad(self) -> float:
+        """Median azimuth from an edge point to the target's edge, along its ring, rad."""
+        outward = self.edge_points.outward(self.T_lidar_target[:3, 0])
+        normal = np.column_stack([np.zeros(len(self.labels)), self.target.normals[self.labels]])
+        R = self.T_target_lidar[:3, :3]
+        speed = ((outward @ R.T) * normal).sum(axis=1)
+        usable = np.abs(speed) > 0.1 * np.linalg.norm(outward, axis=1)
+        to_edge = self.inset - self.edge_residuals / np.where(usable, speed, np.inf)
+        return float(np.median(to_edge[usable])) if usable.any() else float(np.median(self.inset))
+
+
+def unobservable_directions(covariance: Floats, size: float) -> tuple[str, ...]:
+    """Name what a pose's covariance leaves undetermined.
+
+    Args:
+        covariance: (6, 6), rotation first.
+        size: metres that count as one radian: the target's radius.
+    """
+    scale = np.array([1.0, 1.0, 1.0, size, size, size])
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    names = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value > UNOBSERVABLE_SD**2:
+            parts = [_DIRECTIONS[k] for k in np.argsort(-np.abs(vector)) if abs(vector[k]) > 0.4]
+            names.append(" with ".join(parts))
+    return tuple(names)
+
+
+def _skew(v: Floats) -> Floats:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
