@@ -81,4 +81,5 @@ __all__ = [
     "ring_bias_columns",
     "shape_rows",
     "summarise",
+    "template_rows",
 ]

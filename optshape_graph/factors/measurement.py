@@ -37,8 +37,8 @@ def edge_rows(points: ArrayLike, normals: ArrayLike, offsets: ArrayLike) -> tupl
     Raises:
         InputError: shapes that do not fit, or values that are not finite.
     """
-    n = checked("normals", normals, (-1, 2))
-    return template_rows(points, in_plane(n), offsets)
+    p = checked("points", points, (-1, 3))
+    return template_rows(p, in_plane(checked("normals", normals, (len(p), 2))), offsets)
 
 
 def template_rows(points: ArrayLike, directions: ArrayLike, offsets: ArrayLike) -> tuple[Floats, Floats]:

@@ -7,6 +7,10 @@ residual there. Rows of several scans add up over [beta, z, 1] first; then beta 
     min over beta of 1/2 ||A z + B beta + r||^2 + 1/2 ||beta / sigma||^2,
 
 which for one scan is the same as whitening its rows with the covariance I + B diag(sigma^2) B^T.
+
+Whatever else scans have in common belongs in beta too: the inset along a ring, say, of a scanner that fires at the same
+azimuths in every revolution. What measurements of *different* targets or placements share is left out, as if each had
+been made with biases of its own.
 """
 
 from __future__ import annotations
@@ -52,27 +56,37 @@ def ring_bias_columns(
 class BiasedMeasurement:
     """The cost 1/2 ||S [beta; z; 1]||^2 of a target, beta being the errors that every scan of the scene shares.
 
-    Scans of one static scene by one sensor add up (`+`) before `marginal` removes beta.
+    Scans of one static scene by one sensor add up (`+`) before `marginal` removes beta: an error of the same name is
+    the same error, so scans need not have hit the target with the same rings.
 
     Attributes:
         stack: (n, n) S, upper triangular, n = k + 13.
         n_rows: number of scalar residuals it was made of.
         T_target_lidar: (4, 4) pose at which the columns of beta were linearised.
+        shared: (k,) names of the shared errors, in the order of their columns, such as "ring 7".
     """
 
     stack: Floats
     n_rows: int
     T_target_lidar: Floats
+    shared: tuple[str, ...]
 
     def __post_init__(self) -> None:
         n = len(self.stack)
-        if n < 13:
-            raise InputError(f"biased measurement of {n} columns; expected 13 and one for each bias")
+        if n < 13 or n != 13 + len(set(self.shared)):
+            raise InputError(f"biased measurement of {n} columns; expected 13, and one for each of {self.shared}")
         object.__setattr__(self, "stack", frozen(checked("biased stack", self.stack, (n, n))))
         object.__setattr__(self, "T_target_lidar", frozen(checked("T_target_lidar", self.T_target_lidar, (4, 4))))
 
     @classmethod
-    def from_rows(cls, A: ArrayLike, B: ArrayLike, r: ArrayLike, T_target_lidar: ArrayLike) -> BiasedMeasurement:
+    def from_rows(
+        cls,
+        A: ArrayLike,
+        B: ArrayLike,
+        r: ArrayLike,
+        T_target_lidar: ArrayLike,
+        shared: Sequence[str] | None = None,
+    ) -> BiasedMeasurement:
         """Compress rows A z + B beta + r, whitened by what does *not* persist from scan to scan.
 
         Args:
@@ -80,25 +94,28 @@ class BiasedMeasurement:
             B: (m, k) columns of the shared errors, such as `ring_bias_columns`, whitened as A is.
             r: (m,) constants.
             T_target_lidar: (4, 4) pose of linearisation.
+            shared: (k,) names of the shared errors; None: "ring 0", "ring 1", ..., a column for every ring.
         """
         rows = checked("rows", A, (-1, 12))
         columns = checked("bias columns", B, (len(rows), -1))
         stack = np.column_stack([columns, rows, checked("constants", r, (len(rows),))])
-        return cls(triangular(stack), len(rows), np.asarray(T_target_lidar, float))
-
-    @property
-    def n_biases(self) -> int:
-        """Number of shared errors k."""
-        return len(self.stack) - 13
+        names = tuple(f"ring {i}" for i in range(columns.shape[1])) if shared is None else tuple(shared)
+        return cls(triangular(stack), len(rows), np.asarray(T_target_lidar, float), names)
 
     def __add__(self, other: BiasedMeasurement) -> BiasedMeasurement:
         """Return the measurement of both scans: the same beta, everything else independent."""
         if not isinstance(other, BiasedMeasurement):
             return NotImplemented
-        if other.n_biases != self.n_biases:
-            raise InputError(f"measurements with {self.n_biases} and {other.n_biases} shared errors do not add")
-        stack = triangular(np.vstack([self.stack, other.stack]))
-        return BiasedMeasurement(stack, self.n_rows + other.n_rows, self.T_target_lidar)
+        names = tuple(dict.fromkeys(self.shared + other.shared))
+        stack = triangular(np.vstack([self._columns_for(names), other._columns_for(names)]))
+        return BiasedMeasurement(stack, self.n_rows + other.n_rows, self.T_target_lidar, names)
+
+    def _columns_for(self, names: tuple[str, ...]) -> Floats:
+        k = len(self.shared)
+        stack = np.zeros((len(self.stack), len(names) + 13))
+        stack[:, [names.index(name) for name in self.shared]] = self.stack[:, :k]
+        stack[:, len(names) :] = self.stack[:, k:]
+        return stack
 
     def marginal(self, sigma: ArrayLike) -> TemplateMeasurement:
         """Return the measurement of the pose alone, beta marginalised under its prior.
@@ -106,7 +123,7 @@ class BiasedMeasurement:
         Args:
             sigma: standard deviation of the shared errors, one for all or (k,), in beta's units; 0: none.
         """
-        k = self.n_biases
+        k = len(self.shared)
         sigmas = np.broadcast_to(np.asarray(sigma, float), (k,))
         if not (np.isfinite(sigmas).all() and (sigmas >= 0).all()):
             raise InputError(f"standard deviations of shared errors are {sigmas}; expected finite numbers >= 0")
@@ -123,11 +140,12 @@ def fuse_static(measurements: Sequence[BiasedMeasurement], sigma: ArrayLike) -> 
     However many scans there are, the result is no more certain than the shared errors allow.
 
     Args:
-        measurements: one for each scan, their bias columns in the same order and linearised at one pose.
-        sigma: standard deviation of the shared errors, one for all or (k,), in their units.
+        measurements: one for each scan, their shared errors named and linearised at one pose.
+        sigma: standard deviation of the shared errors, one for all or (k,) in the order they are first named, in
+            their units.
 
     Raises:
-        InputError: no measurement, or different numbers of shared errors.
+        InputError: no measurement, or standard deviations that are none.
     """
     if not measurements:
         raise InputError("no measurement to fuse")

@@ -14,7 +14,7 @@ from optshape_graph.target import Target
 
 _ANGLES = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
 _PAIRS = np.triu_indices(5)
-_REFINED = 200  # labellings whose angle is refined from the grid's
+_REFINED = 150  # labellings whose angle is refined from the grid's
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +29,11 @@ class ReturnsPlane:
 
     axes: Floats
     centre: Floats
+
+    @property
+    def distance(self) -> float:
+        """Distance from the sensor along the normal, metres."""
+        return float(self.axes[0] @ self.centre)
 
 
 def fit_plane(points: Floats, ring: Ints | None) -> ReturnsPlane:
@@ -158,14 +163,15 @@ def _minimise_on_circle(form: Floats, refine: int) -> tuple[Floats, Floats]:
 
 def _different(angle: Floats, t: Floats, turn: float, move: float, count: int) -> Ints:
     """Indices of the first `count` poses that differ from all before by an angle `turn` or a distance `move`."""
+    turned = np.abs(np.angle(np.exp(1j * (angle[:, None] - angle[None]))))
+    moved = np.linalg.norm(t[:, None] - t[None], axis=-1)
+    alike = (turned < turn) & (moved < move)
+    free = np.ones(len(angle), dtype=bool)
     kept: list[int] = []
-    for k in range(len(angle)):
-        turned = np.abs(np.angle(np.exp(1j * (angle[kept] - angle[k]))))
-        moved = np.linalg.norm(t[kept] - t[k], axis=1)
-        if not ((turned < turn) & (moved < move)).any():
-            kept.append(k)
-        if len(kept) == count:
-            break
+    while free.any() and len(kept) < count:
+        first = int(free.argmax())
+        kept.append(first)
+        free &= ~alike[first]
     return np.array(kept, dtype=np.int64)
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Bools, Floats
 from optshape_graph.edges import extract_edge_points
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors.measurement import TemplateMeasurement, plane_rows, template_rows
+from optshape_graph.factors.measurement import TemplateMeasurement, template_rows
 from optshape_graph.factors.se3 import inverse, inverse_covariance
 from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.pose.association import enumerate_poses, fit_plane
@@ -21,14 +21,18 @@ from optshape_graph.pose.estimate import (
     unobservable_directions,
 )
 from optshape_graph.pose.evidence import missed_rings, outside_returns, vertices_in_lidar
-from optshape_graph.pose.noise import EdgeNoise, PlaneNoise, plane_noise
-from optshape_graph.pose.propagation import Posterior, Problem, edge_geometry, interval_width, propagate
+from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, returns_on_plane
+from optshape_graph.pose.propagation import Posterior, Problem, concatenate, edge_geometry, interval_width, propagate
 from optshape_graph.pose.sdp import Backend, certify
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
 MIN_EXPLAINED = 0.6
 """Share of ring ends that must end on the target's edges: fewer, and these are not this target's returns."""
+
+
+_REACH = 30.0
+"""Log likelihood that a second round of relinearisation can make up for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,22 +47,22 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     """Estimate a target's pose from its returns; see `estimate_pose`."""
     edges = extract_edge_points(scan)
     plane = fit_plane(scan.points, scan.ring)
-    returns = plane_noise(scan.points, scan.ring, plane.axes[0], scan.sensor)
+    returns = returns_on_plane(scan.points, scan.ring, plane.axes[0], plane.distance, scan.sensor)
     problem = Problem(edges, target, _plane_form(returns), EdgeNoise.of(scan.sensor))
     starts = enumerate_poses(edges, plane, target)
     candidates = _score(problem, _upright(starts, target), scan)
 
-    best = candidates.posterior.select(slice(0, 1))
-    shared, weight = _measurement(problem, best, returns)
+    same = _same_mode(candidates.posterior, target)
+    shared, weight = _measurement(problem, candidates, same, returns)
     measurement = shared.marginal(1.0)
     T_target_lidar = refine(measurement)
-    same = _same_mode(candidates.posterior, target)
     measurement = _widen(measurement.at(T_target_lidar), candidates, same)
     certificate, _ = certify(measurement, T_target_lidar, weight, backend)
 
     T_lidar_target = inverse(T_target_lidar)
     information = measurement.information(T_target_lidar) + 1e-9 * np.eye(6)
     covariance = inverse_covariance(T_target_lidar, np.linalg.inv(information))
+    best = candidates.posterior.select(slice(0, 1))
     final = edge_geometry(problem, T_target_lidar[None], best.geometry.labels)
     inset, sigma = best.inset[0], best.sigma[0]
     residuals = final.residual[0] + inset * final.along[0]
@@ -91,33 +95,39 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
 def refine(measurement: TemplateMeasurement, iterations: int = 20) -> Floats:
     """Return the T_target_lidar (4, 4) nearest to where a measurement was taken that minimises its error.
 
-    Gauss-Newton steps on the compressed rows, with Levenberg's damping where the rows leave a direction free.
+    Gauss-Newton steps on the compressed rows, with Levenberg's damping where they do not lead down.
     """
     import gtsam
 
-    T, error, damping = measurement.T_target_lidar, measurement.error(measurement.T_target_lidar), 1e-12
+    T, damping = measurement.T_target_lidar, 1e-12
+    error = measurement.error(T)
     for _ in range(iterations):
-        information = measurement.information(T)
+        J = measurement.jacobian(T)
+        information = J.T @ J
         damped = information + damping * np.trace(information) * np.eye(6)
-        step = -np.linalg.solve(damped, measurement.gradient(T))
+        step = -np.linalg.solve(damped, J.T @ measurement.residual(T))
         candidate = T @ gtsam.Pose3.Expmap(step).matrix()
         new = measurement.error(candidate)
-        if new > error:
-            damping = max(1e-8, 10 * damping)
-            if np.abs(step).max() < 1e-10 or damping > 1.0:
-                break
-            continue
-        T, error = candidate, new
-        if np.abs(step).max() < 1e-12:
+        if new <= error:
+            T, error, damping = candidate, new, max(damping / 10, 1e-12)
+        else:
+            damping = max(10 * damping, 1e-8)
+        if np.abs(step).max() < 1e-9 or damping > 1.0:
             break
     return np.asarray(T)
 
 
-def _plane_form(returns: PlaneNoise) -> Floats:
+def _plane_rows(returns: PlaneReturns) -> tuple[Floats, Floats]:
+    """Whitened rows (N, 12), (N,) of the returns against the plane."""
+    normals = np.broadcast_to([1.0, 0.0, 0.0], returns.points.shape)
+    A, r = template_rows(returns.points, normals, returns.offset)
+    return A / returns.sigma[:, None], r / returns.sigma
+
+
+def _plane_form(returns: PlaneReturns) -> Floats:
     """(13, 13) quadratic form in [z; 1] of the returns' distances from the plane, ring biases marginalised."""
-    A, r = plane_rows(returns.points)
-    rows = BiasedMeasurement.from_rows(A / returns.sigma[:, None], returns.bias, r / returns.sigma, np.eye(4))
-    return rows.marginal(1.0).quadratic()
+    A, r = _plane_rows(returns)
+    return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4)).marginal(1.0).quadratic()
 
 
 def _upright(T: Floats, target: Target) -> Floats:
@@ -135,8 +145,21 @@ def _upright(T: Floats, target: Target) -> Floats:
 
 
 def _score(problem: Problem, starts: Floats, scan: Scan) -> _Candidates:
-    """Posterior and log likelihood of each start, best first, each association once."""
-    posterior = propagate(problem, starts)
+    """Posterior and log likelihood of each start, best first, each association once.
+
+    A first round with few relinearisations tells the starts apart; those in reach of the best get a second.
+    """
+    first = _rank(problem, propagate(problem, starts, relinearisations=2, sweeps=4), scan)
+    reach = first.score > first.score[0] - _REACH
+    second = _rank(problem, propagate(problem, first.posterior.T_target_lidar[reach], relinearisations=3), scan)
+    if not (~reach).any():
+        return second
+    far = first.posterior.select(np.flatnonzero(~reach))
+    merged = concatenate(second.posterior, far)
+    return _Candidates(merged, np.concatenate([second.score, first.score[~reach]]))
+
+
+def _rank(problem: Problem, posterior: Posterior, scan: Scan) -> _Candidates:
     score = posterior.log_evidence + outside_returns(problem, posterior)
     if scan.sensor is not None:
         vertices = vertices_in_lidar(posterior.T_target_lidar, problem.target.vertices)
@@ -145,41 +168,52 @@ def _score(problem: Problem, starts: Floats, scan: Scan) -> _Candidates:
     if not np.isfinite(score).any():
         raise EstimationError(f"{scan.name}: no pose explains the returns")
     order = np.argsort(-score, kind="stable")
-    _, first = np.unique(posterior.geometry.labels[order], axis=0, return_index=True)
-    kept = order[np.sort(first)]
+    _, firsts = np.unique(posterior.geometry.labels[order], axis=0, return_index=True)
+    kept = order[np.sort(firsts)]
     return _Candidates(posterior.select(kept), score[kept])
 
 
-def _measurement(problem: Problem, best: Posterior, returns: PlaneNoise) -> tuple[BiasedMeasurement, float]:
-    """All whitened rows of the best association, before shared errors are marginalised; and their total weight.
+def _measurement(
+    problem: Problem, candidates: _Candidates, same: Bools, returns: PlaneReturns
+) -> tuple[BiasedMeasurement, float]:
+    """All whitened rows, before shared errors are marginalised, and their total weight 1 / sigma^2.
 
-    The shared errors are the bias of each ring that the scan's sensor has and the offset across the edges, each in units of
-    its standard deviation.
+    Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely take
+    part with their probability: the mean of their costs is a cost of the same form.
+
+    The shared errors are the bias of each ring and the offset across the edges, each in units of its standard deviation.
     """
-    geometry, edges = best.geometry, problem.edges
-    T = best.T_target_lidar[0]
-    boundary = edges.points + best.inset[0][:, None] * edges.outward(T[0, :3])
-    A, r = template_rows(boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]])
-    sigma = best.sigma[0]
-    A_plane, r_plane = plane_rows(returns.points)
-    columns = np.zeros((len(A) + len(A_plane), returns.bias.shape[1] + 1))
-    columns[: len(A), -1] = geometry.across[0] * problem.noise.common / sigma
-    columns[len(A) :, :-1] = returns.bias
-    shared = BiasedMeasurement.from_rows(
-        np.vstack([A / sigma[:, None], A_plane / returns.sigma[:, None]]),
-        columns,
-        np.concatenate([r / sigma, r_plane / returns.sigma]),
-        T,
-    )
-    return shared, float((1 / sigma**2).sum() + (1 / returns.sigma**2).sum())
+    A_plane, r_plane = _plane_rows(returns)
+    weight = _weights(candidates, same)
+    stacks, total = [], float((1 / returns.sigma**2).sum())
+    for k in np.flatnonzero(weight):
+        one = candidates.posterior.select(slice(k, k + 1))
+        geometry, sigma = one.geometry, one.sigma[0]
+        boundary = problem.edges.points + one.inset[0][:, None] * problem.edges.outward(one.T_target_lidar[0, 0, :3])
+        A, r = template_rows(boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]])
+        columns = np.zeros((len(A), returns.bias.shape[1] + 1))
+        columns[:, -1] = geometry.across[0] * problem.noise.common / sigma
+        rows = np.column_stack([columns, A / sigma[:, None], r / sigma])
+        stacks.append(np.sqrt(weight[k]) * rows)
+        total += float(weight[k] * (1 / sigma**2).sum())
+    edge_rows = np.vstack(stacks)
+    A, r = np.vstack([edge_rows[:, -13:-1], A_plane]), np.concatenate([edge_rows[:, -1], r_plane])
+    columns = np.vstack([edge_rows[:, :-13], np.column_stack([returns.bias, np.zeros(len(r_plane))])])
+    shared = BiasedMeasurement.from_rows(A, columns, r, candidates.posterior.T_target_lidar[0])
+    return replace(shared, n_rows=len(problem.edges) + len(r_plane)), total
 
 
-def _same_mode(posterior: Posterior, target: Target) -> Ints:
+def _weights(candidates: _Candidates, same: Bools) -> Floats:
+    """(C,) probability of each association, within the best mode; those below a thousandth count as 0."""
+    weight = np.where(same, np.exp(np.minimum(candidates.score - candidates.score[0], 0.0)), 0.0)
+    weight[weight < 1e-3] = 0.0
+    return np.asarray(weight / weight.sum())
+
+
+def _same_mode(posterior: Posterior, target: Target) -> Bools:
     """(C,) whether each pose belongs to the same mode as the first: their regions of 3 standard deviations meet."""
-    from scipy.spatial.transform import RigidTransform
-
     T = posterior.T_target_lidar
-    xi = RigidTransform.from_matrix(inverse(T[0]) @ T).as_exp_coords()
+    xi = _log(inverse(T[0]) @ T)
     both = posterior.covariance + posterior.covariance[0]
     # Poses within a degree and a hundredth of the target are one pose, however sure each is of itself.
     size = target.circumradius
@@ -188,37 +222,39 @@ def _same_mode(posterior: Posterior, target: Target) -> Ints:
     return np.asarray(distance < 9.0)
 
 
-def _widen(measurement: TemplateMeasurement, candidates: _Candidates, same: Ints) -> TemplateMeasurement:
-    """Scale the measurement down for associations of the same mode that are nearly as likely as the best.
+def _widen(measurement: TemplateMeasurement, candidates: _Candidates, same: Bools) -> TemplateMeasurement:
+    """Scale the measurement down where associations of the best mode disagree about the pose.
 
-    Near a vertex a ring end may belong to either edge. The covariance of the mixture about the best pose, averaged over
-    directions, is the best association's own times a factor of at least 1.
+    The covariance of the mixture about the estimate, averaged over directions, is the measurement's own times a
+    factor of at least 1.
     """
-    rows = np.flatnonzero(same)
-    weight = np.exp(candidates.score[rows] - candidates.score[0])
-    if len(rows) == 1 or weight[1:].sum() < 1e-3:
+    weight = _weights(candidates, same)
+    rows = np.flatnonzero(weight)
+    if len(rows) == 1:
         return measurement
-    from scipy.spatial.transform import RigidTransform
-
-    weight /= weight.sum()
     posterior = candidates.posterior
-    T = posterior.T_target_lidar
-    xi = RigidTransform.from_matrix(inverse(T[0]) @ T[rows]).as_exp_coords()
-    information = measurement.information(measurement.T_target_lidar)
-    second_moment = np.einsum("c,cij->ij", weight, posterior.covariance[rows] + xi[:, :, None] * xi[:, None, :])
-    factor = max(1.0, float(np.trace(information @ second_moment)) / 6.0)
+    xi = _log(inverse(measurement.T_target_lidar) @ posterior.T_target_lidar[rows])
+    second_moment = np.einsum("c,cij->ij", weight[rows], posterior.covariance[rows] + xi[:, :, None] * xi[:, None, :])
+    factor = max(1.0, float(np.trace(measurement.information() @ second_moment)) / 6.0)
     return TemplateMeasurement.from_stack(
         measurement.stack / np.sqrt(factor), measurement.n_rows, measurement.T_target_lidar
     )
 
 
-def _ambiguity(candidates: _Candidates, same: Ints) -> Ambiguity:
+def _log(T: Floats) -> Floats:
+    """Tangent vectors (C, 6), rotation first, of transforms (C, 4, 4)."""
+    from scipy.spatial.transform import RigidTransform
+
+    return np.asarray(RigidTransform.from_matrix(T).as_exp_coords())
+
+
+def _ambiguity(candidates: _Candidates, same: Bools) -> Ambiguity:
     """Margin between the best mode, all its associations together, and the best pose outside it."""
-    others = np.flatnonzero(~np.asarray(same))
+    others = np.flatnonzero(~same)
     if not len(others):
         return Ambiguity(np.inf, None)
     score = candidates.score
-    best = np.logaddexp.reduce(score[np.asarray(same)])
+    best = np.logaddexp.reduce(score[same])
     rival = others[score[others].argmax()]
     return Ambiguity(float(best - score[rival]), inverse(candidates.posterior.T_target_lidar[rival]))
 

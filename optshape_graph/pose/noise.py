@@ -45,40 +45,48 @@ class EdgeNoise:
         return cls(
             common=divergence / np.sqrt(12),
             own=divergence / np.sqrt(12),
-            floor=float(np.hypot(FLATNESS, 0.5 * range_noise)),
+            floor=float(np.hypot(FLATNESS, 0.3 * range_noise)),
         )
 
 
 @dataclass(frozen=True, eq=False)
-class PlaneNoise:
-    """Whitened rows of every return against the target's plane, and the ring biases they share.
+class PlaneReturns:
+    """Every return against the plane of the target: e_x . (R p + t) - c, with its noise.
+
+    A range error e moves a return along its ray, and so moves the residual and the row's own coefficients together: rows
+    of the returns themselves would be biased (errors in variables), most of all across the rings, where only the
+    errors vary within a ring. So p is where the ray meets a plane near the true one, and c carries the rest.
 
     Attributes:
-        points: (N, 3) returns, LiDAR frame, metres.
-        sigma: (N,) standard deviation of each return's distance from the plane, metres.
-        bias: (N, R) how far a unit of each ring's bias moves each return off the plane, in units of `sigma`.
+        points: (N, 3) p, metres, LiDAR frame.
+        offset: (N,) c, metres.
+        sigma: (N,) standard deviation of each residual, metres.
+        bias: (N, R) how far a standard deviation of each ring's bias moves each residual, in units of `sigma`.
     """
 
     points: Floats
+    offset: Floats
     sigma: Floats
     bias: Floats
 
 
-def plane_noise(points: Floats, ring: Ints | None, normal: Floats, sensor: SensorModel | None) -> PlaneNoise:
-    """Noise of returns across the plane they lie on.
-
-    A range error moves a return along its ray, so across the plane by the cosine of the incidence.
+def returns_on_plane(
+    points: Floats, ring: Ints | None, normal: Floats, distance: float, sensor: SensorModel | None
+) -> PlaneReturns:
+    """Set returns against a plane near the target's.
 
     Args:
         points: (N, 3) metres, LiDAR frame.
         ring: (N,), or None: one bias for all.
         normal: (3,) unit normal of the plane, LiDAR frame.
-        sensor: its noise and bias; None: a centimetre each.
+        distance: of the plane from the sensor along the normal, metres.
+        sensor: its range noise and ring bias, and how many rings it has; None: a centimetre each.
     """
     range_noise, ring_bias = (sensor.range_noise, sensor.ring_bias) if sensor else (0.01, 0.01)
-    cosine = np.abs(points @ normal) / np.linalg.norm(points, axis=1)
+    along = points @ normal
+    cosine = np.abs(along) / np.linalg.norm(points, axis=1)
     sigma = np.hypot(range_noise * cosine, FLATNESS)
-    _, inverse = np.unique(np.zeros(len(points)) if ring is None else ring, return_inverse=True)
-    bias = np.zeros((len(points), int(inverse.max()) + 1))
-    bias[np.arange(len(points)), inverse] = ring_bias * cosine / sigma
-    return PlaneNoise(points, sigma, bias)
+    index = np.zeros(len(points), dtype=np.int64) if ring is None else ring
+    bias = np.zeros((len(points), max(int(index.max()) + 1, sensor.n_rings if sensor else 1)))
+    bias[np.arange(len(points)), index] = ring_bias * cosine / sigma
+    return PlaneReturns(points * (distance / along)[:, None], distance - along, sigma, bias)

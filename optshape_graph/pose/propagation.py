@@ -30,6 +30,10 @@ _LARGEST_STEP = 0.15
 """Rotation by which a relinearisation moves a pose at most, rad."""
 
 
+_SETTLED = 1e-3
+"""Relative change of every edge point's precision below which more sweeps change nothing."""
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What is known of one target in one scan, whatever its pose.
@@ -96,6 +100,17 @@ class Posterior:
         return Posterior(geometry=geometry, **rest)
 
 
+def concatenate(a: Posterior, b: Posterior) -> Posterior:
+    """Return the posteriors of both."""
+
+    def both(name: str, one: object, other: object) -> Floats:
+        return np.concatenate([getattr(one, name), getattr(other, name)])
+
+    geometry = EdgeGeometry(**{name: both(name, a.geometry, b.geometry) for name in vars(a.geometry)})  # type: ignore[arg-type]
+    rest = {name: both(name, a, b) for name in vars(a) if name != "geometry"}
+    return Posterior(geometry=geometry, **rest)
+
+
 def interval_width(edges: EdgePoints) -> Floats:
     """(M,) azimuth within which the boundary lies beyond each edge point, rad.
 
@@ -142,7 +157,7 @@ def _exit_edges(yz: Floats, outward: Floats, target: Target) -> Ints:
     return np.where(np.isfinite(ahead.min(axis=-1)), ahead.argmin(axis=-1), np.abs(beyond).argmin(axis=-1))
 
 
-def propagate(problem: Problem, T: Floats, relinearisations: int = 5, sweeps: int = 5) -> Posterior:
+def propagate(problem: Problem, T: Floats, relinearisations: int, sweeps: int = 5) -> Posterior:
     """Find the posterior about each of C poses.
 
     Args:
@@ -184,13 +199,14 @@ def _sweep(
     points, R = problem.edges.points, T[:, :3, :3]
     m = geometry.direction @ R
     J = np.concatenate([np.cross(points, m), m, geometry.across[..., None]], axis=-1)
+    Jt = np.swapaxes(J, 1, 2)
     r = geometry.residual + offset[:, None] * geometry.across
 
     D, z = vec_derivative(T), vec(T)
     precision0 = np.zeros((len(T), 7, 7))
     precision0[:, :6, :6] = np.swapaxes(D, 1, 2) @ problem.plane[:12, :12] @ D + _WEAK_PRIOR
     shift0 = np.zeros((len(T), 7))
-    shift0[:, :6] = -np.einsum("cij,ci->cj", D, z @ problem.plane[:12, :12] + problem.plane[12, :12])
+    shift0[:, :6] = -((z @ problem.plane[:12, :12] + problem.plane[12, :12])[:, None] @ D)[:, 0]
     # An offset that is known not to be there still needs a number; this one is a millimetre at a kilometre.
     offset_precision = 1.0 / max(problem.noise.common, 1e-6) ** 2
     precision0[:, 6, 6] = offset_precision
@@ -201,19 +217,19 @@ def _sweep(
     lower, upper, log_density = _intervals(s, width)
     tau = 1.0 / (own + spread * s**2)
     nu = -tau * inset * s
+    change = np.inf
     for sweep in range(sweeps + 1):
-        precision = precision0 + np.einsum("cmi,cm,cmj->cij", J, tau, J, optimize=True)
-        shift = shift0 + np.einsum("cmi,cm->ci", J, nu - tau * r)
+        precision = precision0 + Jt @ (tau[..., None] * J)
+        shift = shift0 + (Jt @ (nu - tau * r)[..., None])[..., 0]
         covariance = np.linalg.inv(precision)
-        mean = np.einsum("cij,cj->ci", covariance, shift)
-        JS = J @ covariance
-        variance = (JS * J).sum(axis=-1)
-        prediction = r + np.einsum("cmi,ci->cm", J, mean)
+        mean = (covariance @ shift[..., None])[..., 0]
+        variance = ((J @ covariance) * J).sum(axis=-1)
+        prediction = r + (J @ mean[..., None])[..., 0]
         cavity_variance = 1.0 / np.maximum(1.0 / variance - tau, 1e-4 / variance)
         cavity_mean = cavity_variance * (prediction / variance - nu)
         seen = cavity_variance + own
         log_mass, boundary, boundary_variance = mixture_moments(cavity_mean, seen, lower, upper, log_density)
-        if sweep == sweeps:
+        if sweep == sweeps or change < _SETTLED:
             break
         gain = cavity_variance / seen
         tilted = cavity_mean + gain * (boundary - cavity_mean)
@@ -223,7 +239,8 @@ def _sweep(
         silent = informative < 1e-6 / seen
         new_tau = np.where(silent, 1e-6 / seen, informative)
         new_nu = np.where(silent, 0.0, tilted / tilted_variance - cavity_mean / cavity_variance)
-        tau, nu = tau + 0.7 * (new_tau - tau), nu + 0.7 * (new_nu - nu)
+        change = float(np.max(np.abs(new_tau - tau) / (new_tau + tau)))
+        tau, nu = tau + 0.8 * (new_tau - tau), nu + 0.8 * (new_nu - nu)
 
     log_evidence = (
         0.5 * ((mean * shift).sum(axis=-1) - np.linalg.slogdet(precision)[1])

@@ -185,29 +185,30 @@ def refine_rotation(form: Floats, R: Floats, iterations: int = 20) -> Floats:
         R: (3, 3) start.
         iterations: at most so many steps.
     """
-    cost = _rotation_cost(form, R)
-    damping = 0.0
+    cost, damping = _rotation_cost(form, R), 1e-12
     for _ in range(iterations):
-        D = np.vstack([np.column_stack([-R @ generator[:, j] for generator in _GENERATORS]) for j in range(3)])
+        # Column j of R [w]x is -R [e_j]x w: (9, 3), vec R being column-major.
+        D = np.vstack([-R @ skew for skew in _SKEWS])
         gradient = D.T @ (form[:9] @ np.append(R.T.ravel(), 1.0))
         hessian = D.T @ form[:9, :9] @ D
-        step = -np.linalg.lstsq(hessian + damping * np.trace(hessian) * np.eye(3), gradient, rcond=1e-14)[0]
+        step = -np.linalg.solve(hessian + damping * np.trace(hessian) * np.eye(3), gradient)
         candidate = R @ _rotation_exp(step)
         candidate_cost = _rotation_cost(form, candidate)
-        if candidate_cost > cost:
+        small = np.abs(step).max() < 1e-9
+        if candidate_cost <= cost:
+            R, cost, damping = candidate, candidate_cost, max(damping / 10, 1e-12)
+        else:
             damping = max(10 * damping, 1e-4)
-            if damping > 1e3 or np.abs(step).max() < 1e-9:
-                break
-            continue
-        R, cost, damping = candidate, candidate_cost, damping / 10
-        if np.abs(step).max() < 1e-12:
+        if small or damping > 1e3:
             break
     return R
 
 
-_GENERATORS = np.array([
-    [[0.0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0.0, 0, -1], [0, 0, 0], [1, 0, 0]], [[0.0, 1, 0], [-1, 0, 0], [0, 0, 0]],
-])  # -[e_i]x: R [w]x e_j = -R sum_i w_i G_i e_j
+_SKEWS = np.array([
+    [[0.0, 0, 0], [0, 0, -1], [0, 1, 0]],
+    [[0.0, 0, 1], [0, 0, 0], [-1, 0, 0]],
+    [[0.0, -1, 0], [1, 0, 0], [0, 0, 0]],
+])  # fmt: skip
 
 
 def _rotation_cost(form: Floats, R: Floats) -> float:

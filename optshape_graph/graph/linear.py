@@ -1,0 +1,121 @@
+"""The linearised graph as sparse matrices: what it determines, how well, and what it does not.
+
+A direction whose standard deviation exceeds LOOSEST (1 km or 1000 rad) counts as not observable. Covariances are taken
+with a vanishing prior, far looser still, on everything, so that those of what is observable exist although something
+else is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import gtsam
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sparse
+from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
+
+from optshape_graph._arrays import Floats
+from optshape_graph.errors import EstimationError
+
+LOOSEST = 1e3
+"""Standard deviation, metres or radians, beyond which a direction counts as not observable."""
+
+DENSE_LIMIT = 600
+"""Number of unknowns up to which all eigenvalues are taken, not only the smallest ones."""
+
+MOST_DIRECTIONS = 24
+"""How many unobservable directions a large graph is searched for."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """A linearised graph: 1/2 ||A x - b||^2 over the tangent vectors of its variables.
+
+    Attributes:
+        A: (m, n) sparse whitened Jacobian.
+        b: (m,).
+        columns: the columns of each variable's tangent vector, by key.
+    """
+
+    A: sparse.csr_matrix[np.float64]
+    b: Floats
+    columns: dict[int, slice]
+
+    @classmethod
+    def of(cls, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> LinearSystem:
+        """Linearise a graph. A variable that no factor touches has empty columns.
+
+        Raises:
+            EstimationError: a factor's residual or Jacobian is not finite there.
+        """
+        linear = graph.linearize(values)
+        dims = values.dims()
+        columns, n = {}, 0
+        for key in sorted(dims):
+            columns[key] = slice(n, n + dims[key])
+            n += dims[key]
+        # GTSAM numbers columns by sorted key, from 1, over the variables its factors touch; the last one is b.
+        touched = sorted(set(linear.keyVector()))
+        where = np.concatenate([np.arange(columns[key].start, columns[key].stop) for key in touched] + [[n]])
+        # The sparse entries leave out what is not finite; the gradient does not.
+        if not np.isfinite(linear.gradientAtZero().norm()):
+            raise EstimationError("a factor's residual or Jacobian is not finite")
+        row, column, entry = linear.sparseJacobian_()
+        i, j = row.astype(int) - 1, where[column.astype(int) - 1].astype(int)
+        m = int(i.max()) + 1 if len(i) else 0
+        augmented = sparse.csc_matrix((entry, (i, j)), shape=(m, n + 1))
+        return cls(sparse.csr_matrix(augmented[:, :n]), augmented[:, [n]].toarray().ravel(), columns)
+
+    @cached_property
+    def information(self) -> sparse.csc_matrix[np.float64]:
+        """(n, n) sparse A^T A."""
+        return sparse.csc_matrix(self.A.T @ self.A)
+
+    @cached_property
+    def _factor(self) -> SuperLU:
+        diagonal = self.information.diagonal()
+        prior = max(1e-6 / LOOSEST**2, 1e-14 * diagonal.max(initial=0.0))
+        return splu(sparse.csc_matrix(self.information + prior * sparse.identity(len(diagonal))))
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in self.__dict__.items() if name != "_factor"}  # SuperLU does not pickle
+
+    @cached_property
+    def decrement(self) -> float:
+        """Half the squared Newton decrement: by how much a Gauss-Newton step would lower the cost, to first order.
+
+        A cost is half a chi-square, so 1e-6 means a step of a thousandth of a standard deviation.
+        """
+        gradient: Floats = np.asarray(self.A.T @ self.b)
+        return 0.5 * float(gradient @ self._factor.solve(gradient))
+
+    def covariance(self, keys: Sequence[int]) -> Floats:
+        """Return the joint covariance of variables, in their order, rows and columns concatenated."""
+        index = np.concatenate([np.arange(self.columns[key].start, self.columns[key].stop) for key in keys])
+        unit = np.zeros((self.A.shape[1], len(index)))
+        unit[index, np.arange(len(index))] = 1.0
+        covariance = self._factor.solve(unit)[index]
+        return np.asarray(0.5 * (covariance + covariance.T))
+
+    @cached_property
+    def unobservable(self) -> Floats:
+        """(n, k) directions that are not observable, each moving a coordinate of its own by one unit."""
+        n = self.A.shape[1]
+        if n <= DENSE_LIMIT:
+            eigenvalues, vectors = np.linalg.eigh(self.information.toarray())
+        else:
+            inverse = LinearOperator((n, n), matvec=self._factor.solve, dtype=np.float64)
+            start = np.random.default_rng(0).normal(size=n)
+            eigenvalues, vectors = eigsh(
+                self.information, k=MOST_DIRECTIONS, sigma=0.0, which="LM", OPinv=inverse, v0=start
+            )
+        rounding = n * np.finfo(float).eps * self.information.diagonal().max(initial=0.0)
+        null = vectors[:, eigenvalues < max(1.0 / LOOSEST**2, rounding)]
+        if not null.shape[1]:
+            return null
+        # Any basis of the null space would do; this one reads best.
+        _, pivots = scipy.linalg.qr(null.T, mode="r", pivoting=True)
+        return np.asarray(null @ np.linalg.inv(null[pivots[: null.shape[1]]]))

@@ -1,0 +1,97 @@
+"""What links a LiDAR pose to a target: one measurement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from optshape_graph._arrays import Floats, frozen
+from optshape_graph.errors import InputError
+from optshape_graph.factors import TemplateMeasurement
+from optshape_graph.factors.se3 import inverse
+from optshape_graph.target import Target
+
+
+class Estimate(Protocol):
+    """What an observation takes from a pose estimate."""
+
+    @property
+    def target(self) -> Target:
+        """The template."""
+
+    @property
+    def status(self) -> str:
+        """`failed` where the estimate is not to be used."""
+
+    @property
+    def measurement(self) -> TemplateMeasurement:
+        """The measurement, taken at the estimated pose."""
+
+
+def _no_symmetry() -> tuple[Floats, ...]:
+    return (frozen(np.eye(3)),)
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """One target measured in one scan.
+
+    Attributes:
+        scan: whose LiDAR pose; scans from one unmoved LiDAR share it.
+        target: which target; a target that was moved is another one.
+        measurement: of T_target_lidar, taken at its estimate. What several scans of the same scan-target pair have
+            measured is fused first, by `fuse_static`.
+        symmetry_rotations: rotations (3, 3) that turn the target onto itself, the identity among them.
+    """
+
+    scan: str
+    target: str
+    measurement: TemplateMeasurement
+    symmetry_rotations: tuple[Floats, ...] = field(default_factory=_no_symmetry)
+
+    @classmethod
+    def of(cls, scan: str, estimate: Estimate, target: str | None = None) -> Observation:
+        """Return the observation that a pose estimate makes.
+
+        Args:
+            scan: whose LiDAR pose.
+            estimate: a pose estimate with its measurement.
+            target: which target; None: the template's name.
+
+        Raises:
+            InputError: the estimate failed.
+        """
+        name = estimate.target.name if target is None else target
+        if estimate.status == "failed":
+            raise InputError(f"scan '{scan}': the estimate of target '{name}' failed; it is no observation")
+        return cls(scan, name, estimate.measurement, estimate.target.symmetry_rotations)
+
+    @property
+    def T_target_lidar(self) -> Floats:
+        """(4, 4) pose the measurement was taken at."""
+        return self.measurement.T_target_lidar
+
+    def nearest(self, T_target_lidar: Floats) -> Observation:
+        """Return the equivalent observation of a symmetric target whose rotation is nearest to a predicted pose.
+
+        The target turned by S is the same target: its pose is then T_target_lidar' with T_target_lidar = S T'.
+        """
+        if len(self.symmetry_rotations) == 1:
+            return self
+        measured = self.T_target_lidar[:3, :3]
+        agreement = [np.trace(T_target_lidar[:3, :3].T @ S.T @ measured) for S in self.symmetry_rotations]
+        turn = np.eye(4)
+        turn[:3, :3] = self.symmetry_rotations[int(np.argmax(agreement))]
+        return replace(self, measurement=self.measurement.substituted(turn))
+
+    def equivalent_poses(self) -> list[Floats]:
+        """Return T_lidar_target (4, 4) of every way to name the vertices of a symmetric target."""
+        T_lidar_target = inverse(self.T_target_lidar)
+        poses = []
+        for S in self.symmetry_rotations:
+            turned = T_lidar_target.copy()
+            turned[:3, :3] = T_lidar_target[:3, :3] @ S
+            poses.append(turned)
+        return poses

@@ -1,0 +1,139 @@
+import numpy as np
+import pytest
+from hypothesis import given
+
+from optshape_graph import InputError
+from optshape_graph.factors import (
+    BiasedMeasurement,
+    TemplateMeasurement,
+    edge_rows,
+    fuse_static,
+    plane_rows,
+    range_directions,
+    ring_bias_columns,
+)
+from tests.factors.support import TARGET, edge_points, log, minimise, random_pose, seeds
+
+N_RINGS = 6
+
+
+def rows_of(points, edge, ring, T):
+    A, r = edge_rows(points, TARGET.normals[edge], TARGET.offsets[edge])
+    P, s = plane_rows(points)
+    normals = np.vstack(
+        [np.column_stack([np.zeros(len(edge)), TARGET.normals[edge]]), np.tile([1.0, 0.0, 0.0], (len(edge), 1))]
+    )
+    B = ring_bias_columns(np.tile(points, (2, 1)), normals, np.tile(ring, 2), N_RINGS, T)
+    return np.vstack([A, P]), B, np.append(r, s)
+
+
+def scan(rng, T, n=48, noise=0.01, bias=None):
+    points, edge = edge_points(rng, np.linalg.inv(T), n, noise=noise)
+    ring = np.arange(n) // len(TARGET) % N_RINGS
+    if bias is not None:
+        points = points + bias[ring, None] * range_directions(points)
+    return points, edge, ring
+
+
+@given(seeds)
+def test_one_scan_is_whitened_by_the_full_covariance(seed):
+    rng = np.random.default_rng(seed)
+    T, sigma, sigma_bias = random_pose(rng), 0.01, rng.uniform(0, 0.03, N_RINGS)
+    A, B, r = rows_of(*scan(rng, T), T)
+    fused = fuse_static([BiasedMeasurement.from_rows(A / sigma, B / sigma, r / sigma, T)], sigma_bias)
+    covariance = sigma**2 * np.eye(len(r)) + (B * sigma_bias**2) @ B.T
+    W = np.linalg.inv(np.linalg.cholesky(covariance))
+    whitened = TemplateMeasurement.from_rows(W @ A, W @ r, T)
+    scale = np.abs(whitened.quadratic()).max()
+    np.testing.assert_allclose(fused.quadratic(), whitened.quadratic(), atol=1e-9 * scale)
+    assert fused.n_rows == whitened.n_rows
+
+
+def test_columns_are_the_derivative_by_the_ring_biases():
+    rng = np.random.default_rng(0)
+    T = random_pose(rng)
+    points, edge, ring = scan(rng, T)
+    _, B, _ = rows_of(points, edge, ring, T)
+
+    def residual(bias):
+        moved = points + bias[ring, None] * range_directions(points)
+        A, _, r = rows_of(moved, edge, ring, T)
+        return A @ T[:3].T.ravel() + r
+
+    numerical = np.stack([(residual(1e-4 * e) - residual(-1e-4 * e)) / 2e-4 for e in np.eye(N_RINGS)], axis=1)
+    np.testing.assert_allclose(B, numerical, atol=1e-9)
+
+
+def test_without_bias_scans_add_up_and_with_it_they_do_not():
+    rng = np.random.default_rng(1)
+    T, sigma, sigma_bias = random_pose(rng), 0.01, 0.02
+    scans = [rows_of(*scan(rng, T), T) for _ in range(400)]
+    measurements = [BiasedMeasurement.from_rows(A / sigma, B / sigma, r / sigma, T) for A, B, r in scans]
+    plain = sum(
+        (TemplateMeasurement.from_rows(A / sigma, r / sigma, T) for A, _, r in scans[1:]),
+        TemplateMeasurement.from_rows(scans[0][0] / sigma, scans[0][2] / sigma, T),
+    )
+    unbiased = fuse_static(measurements, 0.0)
+    np.testing.assert_allclose(unbiased.quadratic(), plain.quadratic(), atol=1e-9 * np.abs(plain.quadratic()).max())
+
+    one, many = (np.linalg.inv(fuse_static(m, sigma_bias).information(T)) for m in (measurements[:1], measurements))
+    naive = np.linalg.inv(plain.information(T))
+    # The floor is the covariance that the biases alone cause when the noise has averaged away.
+    ratios = np.linalg.eigvalsh(np.linalg.solve(naive, many))
+    assert ratios.max() > 20.0
+    assert (np.linalg.eigvalsh(one - many) > 0).all()
+
+
+def test_consistent_when_every_scan_shares_the_biases():
+    rng = np.random.default_rng(2)
+    T, sigma, sigma_bias = random_pose(rng), 0.01, 0.03
+    fused, naive = [], []
+    for _ in range(200):
+        bias = sigma_bias * rng.normal(size=N_RINGS)
+        scans = [rows_of(*scan(rng, T, bias=bias), T) for _ in range(5)]
+        group = [BiasedMeasurement.from_rows(A / sigma, B / sigma, r / sigma, T) for A, B, r in scans]
+        apart = [m.marginal(sigma_bias) for m in group]
+        for results, measurement in ((fused, fuse_static(group, sigma_bias)), (naive, sum(apart[1:], apart[0]))):
+            best = minimise(measurement, T, 5)
+            error = log(np.linalg.inv(T) @ best)
+            results.append(error @ measurement.information(best) @ error)
+    # The mean of 200 chi-square(6) has standard deviation sqrt(12 / 200) = 0.24: four of them.
+    assert np.mean(fused) == pytest.approx(6.0, abs=1.0)
+    assert np.mean(naive) > 8.0
+
+
+def test_errors_of_the_same_name_are_the_same():
+    rng = np.random.default_rng(4)
+    T = random_pose(rng)
+    A, B, r = rows_of(*scan(rng, T), T)
+    names = [f"ring {i}" for i in range(N_RINGS)]
+    seen = [0, 2, 5]  # the second scan hit the target with these rings only, and lists them its own way
+    rows = np.flatnonzero(B[:, [1, 3, 4]].any(axis=1) == 0)
+    whole = BiasedMeasurement.from_rows(A, B, r, T, names) + BiasedMeasurement.from_rows(A[rows], B[rows], r[rows], T)
+    apart = [
+        BiasedMeasurement.from_rows(A, B, r, T),
+        BiasedMeasurement.from_rows(A[rows], B[rows][:, seen[::-1]], r[rows], T, [names[i] for i in seen[::-1]]),
+    ]
+    sigma = np.linspace(0.01, 0.05, N_RINGS)
+    np.testing.assert_allclose(
+        fuse_static(apart, sigma).quadratic(), whole.marginal(sigma).quadratic(), atol=1e-9 * len(r) * 100
+    )
+    other = BiasedMeasurement.from_rows(A, B[:, :1], r, T, ["inset"])
+    assert (apart[0] + other).shared == (*names, "inset")
+
+
+def test_bad_input():
+    rng = np.random.default_rng(3)
+    points, edge, ring = scan(rng, np.eye(4))
+    A, B, r = rows_of(points + 1.0, edge, ring, np.eye(4))
+    measurement = BiasedMeasurement.from_rows(A, B, r, np.eye(4))
+    with pytest.raises(InputError, match="no measurement"):
+        fuse_static([], 0.01)
+    with pytest.raises(InputError, match=r"19 columns; expected 13, and one for each of .'a', 'b'"):
+        BiasedMeasurement.from_rows(A, B, r, np.eye(4), ["a", "b"])
+    with pytest.raises(InputError, match="finite numbers >= 0"):
+        measurement.marginal(-0.1)
+    with pytest.raises(InputError, match="rings run from 0 to 5; expected 0 to 4"):
+        ring_bias_columns(points, np.ones_like(points), ring, 5, np.eye(4))
+    with pytest.raises(InputError, match="12 columns"):
+        BiasedMeasurement(np.eye(12), 1, np.eye(4), ())
