@@ -22,9 +22,15 @@ class SensorModel:
         range_noise: standard deviation of one range, metres.
         ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
         beam_divergence: full angle of the beam, rad.
+        beam_aperture: width of the beam where it leaves the sensor, metres.
+        azimuth_offsets: (R,) rad, each ring's azimuth relative to the sensor's at the time it fires; None: all 0.
+        range_resolution: ranges are multiples of it, metres; 0: not quantised.
+        min_range: nearer returns are not reported, metres.
+        max_range: farther returns are not reported, metres.
 
     Raises:
-        InputError: elevations not increasing or out of +-90 deg, or a negative or non-finite parameter.
+        InputError: elevations not increasing or out of +-90 deg, another number of azimuth offsets than of rings,
+            a negative or non-finite parameter, or no room between min_range and max_range.
     """
 
     elevations: Floats
@@ -33,6 +39,11 @@ class SensorModel:
     range_noise: float = 0.01
     ring_bias: float = 0.01
     beam_divergence: float = 0.0
+    beam_aperture: float = 0.0
+    azimuth_offsets: Floats | None = None
+    range_resolution: float = 0.0
+    min_range: float = 0.0
+    max_range: float = np.inf
 
     def __post_init__(self) -> None:
         elevations = frozen(self.elevations)
@@ -49,13 +60,23 @@ class SensorModel:
             raise InputError(
                 f"sensor '{self.name}': elevation {np.degrees(np.abs(elevations).max()):g} deg is not within +-90 deg"
             )
-        for field in ("range_noise", "ring_bias", "beam_divergence"):
+        for field in ("range_noise", "ring_bias", "beam_divergence", "beam_aperture", "range_resolution", "min_range"):
             value = getattr(self, field)
             if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"sensor '{self.name}': {field} {value} is not a number >= 0")
         step = self.azimuth_step
         if step is not None and not (np.isfinite(step) and 0 < step < np.pi):
             raise InputError(f"sensor '{self.name}': azimuth step {step} rad is not within (0, pi)")
+        if not self.max_range > self.min_range:
+            raise InputError(f"sensor '{self.name}': max_range {self.max_range} m does not exceed {self.min_range} m")
+        if self.azimuth_offsets is not None:
+            offsets = frozen(self.azimuth_offsets)
+            if offsets.shape != elevations.shape or not np.isfinite(offsets).all():
+                raise InputError(
+                    f"sensor '{self.name}': expected {len(elevations)} finite azimuth offsets, one per ring, "
+                    f"found {offsets.size}"
+                )
+            object.__setattr__(self, "azimuth_offsets", offsets)
         object.__setattr__(self, "elevations", elevations)
 
     @property
@@ -76,4 +97,3 @@ class SensorModel:
         below = above - 1
         nearer_below = wanted - self.elevations[below] <= self.elevations[above] - wanted
         return np.where(nearer_below, below, above)
-

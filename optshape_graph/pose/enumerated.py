@@ -20,7 +20,7 @@ from optshape_graph.pose.estimate import (
     Status,
     unobservable_directions,
 )
-from optshape_graph.pose.evidence import missed_rings, outside_returns, vertices_in_lidar
+from optshape_graph.pose.evidence import alternative_labels, exit_probability, missed_rings, vertices_in_lidar
 from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, returns_on_plane
 from optshape_graph.pose.propagation import Posterior, Problem, concatenate, edge_geometry, interval_width, propagate
 from optshape_graph.pose.sdp import Backend, certify
@@ -31,8 +31,8 @@ MIN_EXPLAINED = 0.6
 """Share of ring ends that must end on the target's edges: fewer, and these are not this target's returns."""
 
 
-_REACH = 30.0
-"""Log likelihood that a second round of relinearisation can make up for."""
+_ALTERNATIVES = 6
+"""How many associations next to the best take part in the estimate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +81,7 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
         certificate=certificate,
         global_association=True,
         ambiguity=ambiguity,
+        log_likelihood=float(np.logaddexp.reduce(candidates.score[same])),
         edge_points=edges,
         labels=best.geometry.labels[0],
         inset=inset,
@@ -147,29 +148,34 @@ def _upright(T: Floats, target: Target) -> Floats:
 def _score(problem: Problem, starts: Floats, scan: Scan) -> _Candidates:
     """Posterior and log likelihood of each start, best first, each association once.
 
-    A first round with few relinearisations tells the starts apart; those in reach of the best get a second.
+    A first round tells the starts apart. A second works out the best and the associations next to it.
     """
-    first = _rank(problem, propagate(problem, starts, relinearisations=2, sweeps=4), scan)
-    reach = first.score > first.score[0] - _REACH
-    second = _rank(problem, propagate(problem, first.posterior.T_target_lidar[reach], relinearisations=3), scan)
-    if not (~reach).any():
-        return second
-    far = first.posterior.select(np.flatnonzero(~reach))
-    merged = concatenate(second.posterior, far)
-    return _Candidates(merged, np.concatenate([second.score, first.score[~reach]]))
+    first = _rank(problem, propagate(problem, starts, relinearisations=3, sweeps=4), scan)
+    best = first.posterior.select(slice(0, 1))
+    labels = np.vstack([best.geometry.labels, alternative_labels(problem, best, _ALTERNATIVES)])
+    T = np.repeat(best.T_target_lidar, len(labels), axis=0)
+    second = _rank(problem, propagate(problem, T, relinearisations=2, labels=labels), scan)
+    merged = concatenate(second.posterior, first.posterior)
+    return _distinct(merged, np.concatenate([second.score, first.score]))
 
 
 def _rank(problem: Problem, posterior: Posterior, scan: Scan) -> _Candidates:
-    score = posterior.log_evidence + outside_returns(problem, posterior)
+    score = posterior.log_evidence + exit_probability(problem, posterior)
     if scan.sensor is not None:
         vertices = vertices_in_lidar(posterior.T_target_lidar, problem.target.vertices)
-        score = score + missed_rings(problem.edges, scan.sensor, vertices, posterior.offset)
+        ranges = np.linalg.norm(problem.edges.points, axis=1)
+        lost_width = 2 * posterior.offset * float(np.mean(problem.noise.width(ranges) / ranges))
+        score = score + missed_rings(problem.edges, scan.sensor, vertices, lost_width)
     score = np.where(np.isfinite(score), score, -np.inf)
     if not np.isfinite(score).any():
         raise EstimationError(f"{scan.name}: no pose explains the returns")
-    order = np.argsort(-score, kind="stable")
-    _, firsts = np.unique(posterior.geometry.labels[order], axis=0, return_index=True)
-    kept = order[np.sort(firsts)]
+    return _distinct(posterior, score)
+
+
+def _distinct(posterior: Posterior, score: Floats) -> _Candidates:
+    """Each association once, as first listed; best first."""
+    _, firsts = np.unique(posterior.geometry.labels, axis=0, return_index=True)
+    kept = firsts[np.argsort(-score[firsts], kind="stable")]
     return _Candidates(posterior.select(kept), score[kept])
 
 
@@ -179,12 +185,17 @@ def _measurement(
     """All whitened rows, before shared errors are marginalised, and their total weight 1 / sigma^2.
 
     Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely take
-    part with their probability: the mean of their costs is a cost of the same form.
+    part: a weighted mean of their costs is a cost of the same form. Its minimum is near the mixture's mean where a weight is
+    the association's probability over how sure that association is of its pose, against the others.
 
     The shared errors are the bias of each ring and the offset across the edges, each in units of its standard deviation.
     """
     A_plane, r_plane = _plane_rows(returns)
     weight = _weights(candidates, same)
+    covariance = candidates.posterior.covariance
+    mean = np.einsum("c,cij->ij", weight, covariance)
+    weight = weight / np.trace(np.linalg.solve(covariance, mean), axis1=1, axis2=2)
+    weight /= weight.sum()
     stacks, total = [], float((1 / returns.sigma**2).sum())
     for k in np.flatnonzero(weight):
         one = candidates.posterior.select(slice(k, k + 1))
@@ -192,7 +203,7 @@ def _measurement(
         boundary = problem.edges.points + one.inset[0][:, None] * problem.edges.outward(one.T_target_lidar[0, 0, :3])
         A, r = template_rows(boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]])
         columns = np.zeros((len(A), returns.bias.shape[1] + 1))
-        columns[:, -1] = geometry.across[0] * problem.noise.common / sigma
+        columns[:, -1] = geometry.across[0] * problem.noise.COMMON / sigma
         rows = np.column_stack([columns, A / sigma[:, None], r / sigma])
         stacks.append(np.sqrt(weight[k]) * rows)
         total += float(weight[k] * (1 / sigma**2).sum())
@@ -263,7 +274,7 @@ def _explained(problem: Problem, residual: Floats, along: Floats, across: Floats
     """Share of edge points whose boundary is within the interval that a last return leaves, give or take 3 sigma."""
     boundary = residual + np.maximum(along, 0.0) * 0.5 * interval_width(problem.edges) + offset * across
     half = np.abs(along) * 0.5 * interval_width(problem.edges)
-    sigma = np.hypot(problem.noise.floor, problem.noise.own * across)
+    sigma = np.hypot(problem.noise.floor, problem.noise.OWN * across)
     return float(np.mean(np.abs(boundary) < half + 3 * sigma))
 
 

@@ -56,6 +56,8 @@ class PoseEstimate:
         certificate: of global optimality, for the association and the weights used.
         global_association: every consistent association was considered.
         ambiguity: margin to the best different pose.
+        log_likelihood: logarithm of the evidence for the target at this pose, up to a constant of the scan: what tells
+            targets of different shapes apart. Not a number for `method="paper"`.
         edge_points: the ring ends used.
         labels: (M,) edge of each edge point.
         inset: (M,) azimuth by which the boundary is taken to lie beyond each edge point, rad.
@@ -76,6 +78,7 @@ class PoseEstimate:
     certificate: Certificate
     global_association: bool
     ambiguity: Ambiguity
+    log_likelihood: float
     edge_points: EdgePoints
     labels: Ints
     inset: Floats

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import log_ndtr
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import EdgePoints
+from optshape_graph.pose.noise import LOST_RETURNS
 from optshape_graph.pose.propagation import Posterior, Problem, interval_width
 from optshape_graph.sensor import SensorModel
 
@@ -39,9 +41,7 @@ def chords(vertices: Floats, elevations: Floats, reference_azimuth: float) -> tu
     return (centre[..., None] - half).max(axis=1), (centre[..., None] + half).min(axis=1)
 
 
-def missed_rings(
-    edges: EdgePoints, sensor: SensorModel, vertices: Floats, across: Floats
-) -> Floats:
+def missed_rings(edges: EdgePoints, sensor: SensorModel, vertices: Floats, lost_width: Floats) -> Floats:
     """Logarithm of the probability (C,) that the rings without returns return nothing.
 
     A ring that crosses the target by less than a step may fall between two firings. Beyond that it must have been
@@ -52,7 +52,7 @@ def missed_rings(
         edges: ends of the rings that returned.
         sensor: whose table says which rings there are.
         vertices: (C, n, 3) of the target, LiDAR frame, metres.
-        across: (C,) how far the boundary lies outside the returns beside quantisation, rad.
+        lost_width: (C,) how much narrower the target seems to the rings, beside quantisation, rad.
     """
     hit = np.unique(edges.ring)
     missed = np.setdiff1d(np.arange(sensor.n_rings), hit)
@@ -60,27 +60,62 @@ def missed_rings(
     lost = (inner.sum() + 1.0) / (hit[-1] - hit[0] + 10.0)
     right, left = chords(vertices, sensor.elevations[missed[~inner]], edges.reference_azimuth)
     with np.errstate(invalid="ignore"):
-        steps = np.nan_to_num((left - right - 2 * across[:, None]) / edges.azimuth_step, neginf=0.0)
+        steps = np.nan_to_num((left - right - lost_width[:, None]) / edges.azimuth_step, neginf=0.0)
     unseen = np.clip(1.0 - steps, 0.0, 1.0)
     return np.asarray(np.log(unseen * (1 - lost) + lost).sum(axis=1))
 
 
-def outside_returns(problem: Problem, posterior: Posterior) -> Floats:
-    """Logarithm of the penalty (C,) for boundaries that lie beyond another edge than the one they are assigned to.
-
-    Edge lines are infinite; the target is not. A boundary point that the assignment puts outside the polygon is
-    improbable as a Gaussian across that edge says, down to the probability of a lost return.
-    """
+def other_edges(problem: Problem, posterior: Posterior) -> Floats:
+    """Distance (C, M, n), metres, of boundary points beyond each edge line; -inf for the edge each is assigned to."""
     geometry, target = posterior.geometry, problem.target
     T = posterior.T_target_lidar
-    R, p = T[:, :3, :3], problem.edges.points
-    y = p @ np.swapaxes(R, 1, 2) + T[:, None, :3, 3]
-    ray = (p / np.linalg.norm(p, axis=1, keepdims=True)) @ np.swapaxes(R, 1, 2)
-    yz = y[..., 1:] - ray[..., 1:] / ray[..., :1] * y[..., :1]
-    beyond = (yz @ target.normals.T - target.offsets).max(axis=-1)
-    # Returns themselves are inside, up to the common offset and what each may scatter.
-    allowed = posterior.offset[:, None] * geometry.across
-    width = interval_width(problem.edges) * np.linalg.norm(p, axis=1)
-    sigma = np.hypot(posterior.sigma, 0.3 * width)
-    excess = np.maximum(beyond + np.minimum(allowed, 0.0), 0.0) / sigma
-    return np.asarray(np.maximum(-0.5 * excess**2, np.log(1e-2)).sum(axis=1))
+    boundary = _boundary(problem, posterior)
+    y = (boundary @ np.swapaxes(T[:, :3, :3], 1, 2)) + T[:, None, :3, 3]
+    beyond = y[..., 1:] @ target.normals.T - target.offsets
+    np.put_along_axis(beyond, geometry.labels[..., None], -np.inf, axis=-1)
+    return np.asarray(beyond)
+
+
+def _boundary(problem: Problem, posterior: Posterior) -> Floats:
+    """(C, M, 3) where the posterior puts the boundary that each edge point stands for, LiDAR frame, on the plane."""
+    T, edges = posterior.T_target_lidar, problem.edges
+    normal = T[:, 0, :3]
+    turning = edges.side[:, None] * np.column_stack([-edges.points[:, 1], edges.points[:, 0], np.zeros(len(edges))])
+    ray = edges.points + posterior.inset[..., None] * turning
+    return np.asarray(ray * (-T[:, 0, 3, None] / np.einsum("ci,cmi->cm", normal, ray))[..., None])
+
+
+def exit_probability(problem: Problem, posterior: Posterior) -> Floats:
+    """Logarithm of the probability (C,) that each ring leaves the target by the edge it is assigned to.
+
+    Edge lines are infinite; the target is not: a boundary point must be inside all other edges, as far as the
+    pose and the point's own scatter tell, down to the probability of a lost return.
+    """
+    beyond = other_edges(problem, posterior)
+    worst = beyond.argmax(axis=-1)
+    R = posterior.T_target_lidar[:, :3, :3]
+    normal = np.concatenate([np.zeros((*worst.shape, 1)), problem.target.normals[worst]], axis=-1) @ R
+    J = np.concatenate([np.cross(_boundary(problem, posterior), normal), normal], axis=-1)
+    variance = ((J @ posterior.covariance) * J).sum(axis=-1)
+    variance += problem.noise.floor**2 + (problem.noise.OWN * posterior.geometry.across) ** 2
+    inside = log_ndtr(-np.take_along_axis(beyond, worst[..., None], axis=-1)[..., 0] / np.sqrt(variance))
+    return np.asarray(np.maximum(inside, np.log(0.1 * LOST_RETURNS)).sum(axis=1))
+
+
+def alternative_labels(problem: Problem, posterior: Posterior, limit: int) -> Ints:
+    """Labels (V, M) of the associations that differ from a posterior's in one edge point near a vertex.
+
+    Args:
+        problem: one target in one scan.
+        posterior: of one pose.
+        limit: at most so many, those nearest to a vertex.
+    """
+    beyond = other_edges(problem, posterior)[0]
+    nearest = beyond.argmax(axis=-1)
+    reach = 0.5 * np.abs(posterior.geometry.along[0]) * interval_width(problem.edges)
+    closeness = -beyond.max(axis=-1) / (posterior.sigma[0] + reach)
+    order = np.argsort(closeness)[:limit]
+    order = order[closeness[order] < 1.0]
+    labels = np.repeat(posterior.geometry.labels, len(order), axis=0)
+    labels[np.arange(len(order)), order] = nearest[order]
+    return labels

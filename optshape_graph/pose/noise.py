@@ -10,7 +10,7 @@ from optshape_graph._arrays import Floats, Ints
 from optshape_graph.sensor import SensorModel
 
 FLATNESS = 1e-3
-"""Standard deviation, metres, of what no sensor file states: how flat and how true to drawing a target is."""
+"""Standard deviation, metres, of what no sensor file states: how flat and how true to its drawing a target is."""
 
 LOST_RETURNS = 0.1
 """Share of ring ends whose return is not within a step of the edge: lost at the edge, or mixed with the background."""
@@ -25,28 +25,34 @@ class EdgeNoise:
 
     A return near an edge comes from part of the beam. Which part decides is a matter of reflectance and threshold,
     so the edge seems to lie further out or in, across the edge: by something common to a scan, and by something
-    of each point's own. Both are uniform over less than the beam, so phi / sqrt 12 covers either.
+    of each point's own, either uniform over at most the beam's width.
 
     Attributes:
-        common: standard deviation of the offset that all edge points of a scan share, rad.
-        own: standard deviation of each edge point's offset, rad.
-        floor: standard deviation across the edge at any range, metres.
+        divergence: full angle of the beam, rad.
+        aperture: width of the beam where it leaves the sensor, metres.
+        floor: standard deviation across the edge of any narrower beam, metres.
     """
 
-    common: float
-    own: float
+    divergence: float
+    aperture: float
     floor: float
+
+    COMMON = 1 / np.sqrt(12)
+    """Standard deviation of the offset that all edge points of a scan share, in beam widths."""
+
+    OWN = 1 / np.sqrt(12)
+    """Standard deviation of each edge point's own offset, in beam widths."""
 
     @classmethod
     def of(cls, sensor: SensorModel | None) -> EdgeNoise:
-        """Derive it from the beam's divergence and the range noise; an unknown sensor has a beam of 3 mrad."""
-        divergence = sensor.beam_divergence if sensor else 3e-3
-        range_noise = sensor.range_noise if sensor else 0.01
-        return cls(
-            common=divergence / np.sqrt(12),
-            own=divergence / np.sqrt(12),
-            floor=float(np.hypot(FLATNESS, 0.3 * range_noise)),
-        )
+        """Take the beam of a sensor; an unknown one has a beam of 3 mrad, a centimetre wide at first."""
+        if sensor is None:
+            return cls(3e-3, 0.01, FLATNESS)
+        return cls(sensor.beam_divergence, sensor.beam_aperture, FLATNESS)
+
+    def width(self, ranges: Floats) -> Floats:
+        """Width of the beam at ranges (...), metres; an ideal beam's still is a tenth of a millimetre."""
+        return np.maximum(self.aperture + self.divergence * ranges, 1e-4)
 
 
 @dataclass(frozen=True, eq=False)

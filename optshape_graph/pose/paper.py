@@ -56,6 +56,7 @@ def estimate_as_paper(scan: Scan, target: Target, backend: Backend = "clarabel")
         shared=None,
         certificate=certificate,
         global_association=False,
+        log_likelihood=np.nan,
         ambiguity=Ambiguity(np.inf, None),
         edge_points=edges,
         labels=all_labels,

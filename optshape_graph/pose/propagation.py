@@ -61,7 +61,7 @@ class EdgeGeometry:
             the plane, of the point where the ray of p meets the plane.
         residual: (C, M) that distance, metres, negative inside.
         along: (C, M) how fast it grows along the ring, outwards, metres per radian.
-        across: (C, M) how fast it grows with the offset across the edge, metres per radian.
+        across: (C, M) how fast it grows with the offset across the edge, metres per beam width.
     """
 
     labels: Ints
@@ -78,7 +78,7 @@ class Posterior:
     Attributes:
         T_target_lidar: (C, 4, 4).
         covariance: (C, 6, 6) of the right perturbation of T_target_lidar, rotation first.
-        offset: (C,) common offset across the edges, rad, positive where the boundary lies further out.
+        offset: (C,) common offset across the edges, beam widths; positive: the returns lie further in.
         geometry: edge points at these poses.
         inset: (C, M) distance along the ring from each edge point to the boundary, rad, offset apart.
         sigma: (C, M) standard deviation across the edge, metres, that stands for each interval.
@@ -144,7 +144,7 @@ def edge_geometry(problem: Problem, T: Floats, labels: Ints | None = None) -> Ed
         direction=direction,
         residual=(direction * y).sum(axis=-1) - target.offsets[labels],
         along=(n * u).sum(axis=-1),
-        across=np.linalg.norm(p, axis=1) * np.sqrt(1.0 + mu**2),
+        across=problem.noise.width(np.linalg.norm(p, axis=1)) * np.sqrt(1.0 + mu**2),
     )
 
 
@@ -157,12 +157,15 @@ def _exit_edges(yz: Floats, outward: Floats, target: Target) -> Ints:
     return np.where(np.isfinite(ahead.min(axis=-1)), ahead.argmin(axis=-1), np.abs(beyond).argmin(axis=-1))
 
 
-def propagate(problem: Problem, T: Floats, relinearisations: int, sweeps: int = 5) -> Posterior:
+def propagate(
+    problem: Problem, T: Floats, relinearisations: int, labels: Ints | None = None, sweeps: int = 5
+) -> Posterior:
     """Find the posterior about each of C poses.
 
     Args:
         problem: one target in one scan.
         T: (C, 4, 4) T_target_lidar to start from.
+        labels: (C, M) association; None: each ring ends on the edge it leaves by first, as the poses move.
         relinearisations: how often the poses move to their posterior means.
         sweeps: updates of all edge points between two relinearisations.
     """
@@ -170,16 +173,17 @@ def propagate(problem: Problem, T: Floats, relinearisations: int, sweeps: int = 
     offset = np.zeros(len(T))
     inset = np.broadcast_to(0.5 * width, (len(T), len(width)))
     spread = np.broadcast_to(width**2 / 12, inset.shape)
-    labels: Ints | None = None
+    previous = labels
     for iteration in range(relinearisations):
-        geometry = edge_geometry(problem, T, labels if iteration == relinearisations - 1 else None)
-        if labels is not None:
-            changed = geometry.labels != labels
+        settled = iteration == relinearisations - 1  # the last association is the one the posterior is of
+        geometry = edge_geometry(problem, T, labels if labels is not None or not settled else previous)
+        if previous is not None:
+            changed = geometry.labels != previous
             inset, spread = np.where(changed, 0.5 * width, inset), np.where(changed, width**2 / 12, spread)
-        labels = geometry.labels
+        previous = geometry.labels
         step, posterior = _sweep(problem, T, geometry, offset, inset, spread, width, sweeps)
         inset, offset = posterior.inset, posterior.offset
-        along = np.maximum(np.abs(geometry.along), 1e-3 * geometry.across)
+        along = np.maximum(np.abs(geometry.along), 1e-3 * np.linalg.norm(problem.edges.points, axis=1))
         spread = np.maximum(posterior.sigma**2 - _own_variance(problem, geometry), 1e-8 * along**2 * width**2) / along**2
         largest = np.abs(step[:, :3]).max(axis=1, initial=0.0)
         T = T @ _exp(step * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))[:, None])
@@ -188,7 +192,7 @@ def propagate(problem: Problem, T: Floats, relinearisations: int, sweeps: int = 
 
 def _own_variance(problem: Problem, geometry: EdgeGeometry) -> Floats:
     """(C, M) variance across the edge that is each edge point's own, quantisation apart, m2."""
-    return problem.noise.floor**2 + (problem.noise.own * geometry.across) ** 2
+    return problem.noise.floor**2 + (problem.noise.OWN * geometry.across) ** 2
 
 
 def _sweep(
@@ -207,8 +211,7 @@ def _sweep(
     precision0[:, :6, :6] = np.swapaxes(D, 1, 2) @ problem.plane[:12, :12] @ D + _WEAK_PRIOR
     shift0 = np.zeros((len(T), 7))
     shift0[:, :6] = -((z @ problem.plane[:12, :12] + problem.plane[12, :12])[:, None] @ D)[:, 0]
-    # An offset that is known not to be there still needs a number; this one is a millimetre at a kilometre.
-    offset_precision = 1.0 / max(problem.noise.common, 1e-6) ** 2
+    offset_precision = 1.0 / problem.noise.COMMON**2
     precision0[:, 6, 6] = offset_precision
     shift0[:, 6] = -offset_precision * offset
 
@@ -249,7 +252,7 @@ def _sweep(
         + (log_mass + 0.5 * _log_ratio(cavity_mean, cavity_variance, tau, nu)).sum(axis=-1)
         - 0.5 * (tau * r**2 - 2 * nu * r).sum(axis=-1)
     )
-    fast = np.where(np.abs(s) > 1e-3 * geometry.across, s, np.inf)
+    fast = np.where(np.abs(s) > 1e-3 * np.linalg.norm(points, axis=1), s, np.inf)
     posterior = Posterior(
         T_target_lidar=T,
         covariance=covariance[:, :6, :6],
