@@ -37,6 +37,23 @@ class Chessboard:
     offset: tuple[float, float] = (0.0, 0.0)
 
 
+@dataclass(frozen=True)
+class Tags:
+    """Square fiducial tags printed on a target.
+
+    Attributes:
+        dictionary: OpenCV's name of the predefined dictionary, as `APRILTAG_36h11` or `4X4_50`.
+        size: side of a tag's black square, metres.
+        centres: tag number to the (y, z) of its centre in the target frame, metres.
+        turn: angle about +x, rad, by which all tags are turned from upright (their top edge towards +z).
+    """
+
+    dictionary: str
+    size: float
+    centres: dict[int, tuple[float, float]]
+    turn: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Target:
     """A planar convex polygon with n >= 3 vertices.
@@ -47,6 +64,7 @@ class Target:
         vertices: (n, 3) metres, target frame, x = 0, counter-clockwise seen from +x, mean at the origin.
         name: what results call it.
         chessboard: the pattern printed on it, if any.
+        tags: the tags printed on it, if any.
 
     Raises:
         InputError: fewer than three vertices, not finite, not planar, not centred, not strictly convex,
@@ -56,6 +74,7 @@ class Target:
     vertices: Floats
     name: str = "target"
     chessboard: Chessboard | None = None
+    tags: Tags | None = None
 
     def __post_init__(self) -> None:
         vertices = frozen(self.vertices)

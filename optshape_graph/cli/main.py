@@ -2,43 +2,36 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import sys
 
 import click
 
 import optshape_graph
+from optshape_graph.cli.lazy import LazyGroup
 
 COMMANDS = {
     "estimate": "optshape_graph.cli.estimate",
+    "calibrate": "optshape_graph.cli.calibrate",
+    "design": "optshape_graph.cli.design",
+    "simulate": "optshape_graph.cli.simulate",
+    "extract": "optshape_graph.cli.extract",
+    "evaluate": "optshape_graph.cli.evaluate",
 }
 """Command name to the module that defines it as `command`; imported when it is called."""
 
 HELP = {
     "estimate": "Estimate a target's pose in scans that hold its returns.",
+    "calibrate": "Calibrate a LiDAR to motion capture, or to a camera.",
+    "design": "Design target shapes: find one, judge them, draw one at 1:1.",
+    "simulate": "Simulate a scan of a target or a scene, with known truth.",
+    "extract": "Cut a session out of a bag or a folder of clouds: scans, images, markers.",
+    "evaluate": "Measure how good the estimates are, beside what the paper reports.",
 }
 """One line per command, so that `optshape --help` imports none of them."""
 
 
-class LazyGroup(click.Group):
-    """A group whose commands are imported when they are run."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(COMMANDS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in COMMANDS:
-            return None
-        command: click.Command = importlib.import_module(COMMANDS[cmd_name]).command
-        return command
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, HELP[name]) for name in COMMANDS])
-
-
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=LazyGroup, commands_at=COMMANDS, help_of=HELP, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(optshape_graph.__version__, prog_name="optshape")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def cli(debug: bool) -> None:

@@ -1,1 +1,43 @@
-"""TODO"""
+"""Target shapes: the family of candidates, their score, the search for the best, and drawings for the workshop.
+
+Sections III and IV of Huang, Clark and Grizzle, "Optimal Target Shape for LiDAR Pose Estimation", corrected: `family`
+makes candidates, `rings` lights them, `sensitivity` scores them, `problem` and `multistart` find the best within
+`limits`, `judgement` compares shapes, and `drawing` and `formats` draw one at 1:1.
+"""
+
+from optshape_graph.design.bound import PoseBound, covariance_bound, pose_bound
+from optshape_graph.design.drawing import Drawing, draw
+from optshape_graph.design.family import Family
+from optshape_graph.design.formats import export
+from optshape_graph.design.judgement import Judgement, judge, worst_cell
+from optshape_graph.design.limits import Limits
+from optshape_graph.design.multistart import Search, search
+from optshape_graph.design.problem import Problem, Start
+from optshape_graph.design.rings import Rings, SensorRings, UniformRings
+from optshape_graph.design.sensitivity import cell_scores, edge_crossings
+from optshape_graph.design.symmetry import SelfRotation, nearest_self_rotation
+
+__all__ = [
+    "Drawing",
+    "Family",
+    "Judgement",
+    "Limits",
+    "PoseBound",
+    "Problem",
+    "Rings",
+    "Search",
+    "SelfRotation",
+    "SensorRings",
+    "Start",
+    "UniformRings",
+    "cell_scores",
+    "covariance_bound",
+    "draw",
+    "edge_crossings",
+    "export",
+    "judge",
+    "nearest_self_rotation",
+    "pose_bound",
+    "search",
+    "worst_cell",
+]

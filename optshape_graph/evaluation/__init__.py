@@ -1,1 +1,23 @@
-"""TODO"""
+"""How good the estimates are: metrics, Monte Carlo sweeps, tables beside the paper's, consistency."""
+
+from optshape_graph.evaluation.consistency import consistency
+from optshape_graph.evaluation.harness import run_tasks
+from optshape_graph.evaluation.metrics import NormalisedError, PoseError, normalised_error, pose_error
+from optshape_graph.evaluation.simulation import SimulationSweep, run_simulation
+from optshape_graph.evaluation.tables import beside_published, by_group, summarise, write_csv, write_parquet
+
+__all__ = [
+    "NormalisedError",
+    "PoseError",
+    "SimulationSweep",
+    "beside_published",
+    "by_group",
+    "consistency",
+    "normalised_error",
+    "pose_error",
+    "run_simulation",
+    "run_tasks",
+    "summarise",
+    "write_csv",
+    "write_parquet",
+]

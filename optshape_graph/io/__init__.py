@@ -1,1 +1,28 @@
-"""TODO"""
+"""Files in, files out: clouds, targets, sensors, sessions, markers, cameras. Knows the nouns only."""
+
+from optshape_graph.io.cameras import load_camera, save_camera
+from optshape_graph.io.clouds import make_scan, read_scan, write_scan
+from optshape_graph.io.columns import Columns
+from optshape_graph.io.markers import Markers, read_markers
+from optshape_graph.io.sensors import load_sensor, save_sensor
+from optshape_graph.io.sessions import Mocap, Session, View, load_session
+from optshape_graph.io.targets import load_target, save_target
+
+__all__ = [
+    "Columns",
+    "Markers",
+    "Mocap",
+    "Session",
+    "View",
+    "load_camera",
+    "load_sensor",
+    "load_session",
+    "load_target",
+    "make_scan",
+    "read_markers",
+    "read_scan",
+    "save_camera",
+    "save_sensor",
+    "save_target",
+    "write_scan",
+]

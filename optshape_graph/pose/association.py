@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
 from optshape_graph.pose.labelling import MAX_LABELLINGS, count_labellings, enumerate_labellings
@@ -14,7 +14,8 @@ from optshape_graph.target import Target
 
 _ANGLES = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
 _PAIRS = np.triu_indices(5)
-_REFINED = 150  # labellings whose angle is refined from the grid's
+_REFINED = 48  # labellings whose angle is refined from the grid's
+_SECTOR = 4  # grid steps between the directions in which a rival is looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,14 +115,15 @@ def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> F
     cross = G[:, 2:4][:, :, [0, 1, 4]]
     K = np.linalg.solve(by_t, cross)
     form = rest - np.swapaxes(cross, 1, 2) @ K
-    angle, cost = _minimise_on_circle(form, _REFINED)
-    order = np.argsort(cost)[:_REFINED]
-    angle, K = angle[order], K[order]
+    which, angle = _minimise_on_circle(form)
+    K = K[which]
 
     x = np.stack([np.cos(angle), np.sin(angle), -np.ones_like(angle)], axis=-1)
     t = -np.einsum("kij,kj->ki", K, x)
-    near = _different(angle, t, np.radians(1.5), 0.01 * target.circumradius, NEAR)
-    far = _different(angle, t, np.radians(15.0), 0.3 * target.circumradius, FAR)
+    turned = np.abs(np.angle(np.exp(1j * (angle[:, None] - angle[None]))))
+    moved = np.linalg.norm(t[:, None] - t[None], axis=-1) / target.circumradius
+    near = _first_different((turned < np.radians(1.5)) & (moved < 0.01), NEAR)
+    far = _first_different((turned < np.radians(15.0)) & (moved < 0.3), FAR)
     chosen = np.union1d(near, far)
     return _poses(angle[chosen], t[chosen], plane)
 
@@ -133,40 +135,40 @@ def _rings_that_fit(n_edges: int, n_rings: int) -> int:
     return n_rings
 
 
-def _minimise_on_circle(form: Floats, refine: int) -> tuple[Floats, Floats]:
-    """Minimise v^T F v, v = (cos, sin, -1), for forms (K, 3, 3): angles (K,) and values (K,).
+def _minimise_on_circle(form: Floats) -> tuple[Ints, Floats]:
+    """Minimise v^T F v, v = (cos, sin, -1), for forms (K, 3, 3).
 
-    All on a grid, then the `refine` best by Newton steps.
+    All on a grid of angles; then by Newton steps those that are best of all, and those that are best in each
+    direction, however much worse: rivals.
+
+    Returns:
+        Which form (T,) and its angle (T,), best first.
     """
     grid = np.stack([np.cos(_ANGLES), np.sin(_ANGLES), -np.ones_like(_ANGLES)], axis=-1)
     outer = np.einsum("ai,aj->aij", grid, grid).reshape(len(grid), 9)
     values = form.reshape(-1, 9) @ outer.T
     best = values.argmin(axis=1)
-    angle, value = _ANGLES[best], values[np.arange(len(best)), best]
-    top = np.argpartition(value, refine)[:refine] if len(value) > refine else np.arange(len(value))
-    phi, F = angle[top], form[top]
+    top = np.argsort(values[np.arange(len(best)), best])[:_REFINED]
+    sectors = np.arange(0, len(_ANGLES), _SECTOR)
+    which = np.concatenate([top, values[:, sectors].argmin(axis=0)])
+    phi, F = np.concatenate([_ANGLES[best[top]], _ANGLES[sectors]]), form[which]
     for _ in range(4):
         c, s, zero = np.cos(phi), np.sin(phi), np.zeros_like(phi)
         v = np.stack([c, s, zero - 1], axis=-1)
         d = np.stack([-s, c, zero], axis=-1)
-        Fv, Fd = np.einsum("kij,kj->ki", F, v), np.einsum("kij,kj->ki", F, d)
-        slope = np.einsum("ki,ki->k", d, Fv)
-        curvature = np.einsum("ki,ki->k", d, Fd) - np.einsum("ki,ki->k", v + [0, 0, 1], Fv)
+        Fv, Fd = (F @ v[..., None])[..., 0], (F @ d[..., None])[..., 0]
+        slope = (d * Fv).sum(axis=-1)
+        curvature = (d * Fd).sum(axis=-1) - ((v + [0, 0, 1]) * Fv).sum(axis=-1)
         phi = phi - np.clip(slope / np.where(curvature > 0, curvature, np.inf), -0.1, 0.1)
     v = np.stack([np.cos(phi), np.sin(phi), -np.ones_like(phi)], axis=-1)
-    rest = np.full(len(value), np.inf)
-    rest[top] = np.einsum("ki,kij,kj->k", v, F, v)
-    angle = angle.copy()
-    angle[top] = phi
-    return angle, rest
+    cost = np.einsum("ki,kij,kj->k", v, F, v)
+    order = np.argsort(cost, kind="stable")
+    return which[order], phi[order]
 
 
-def _different(angle: Floats, t: Floats, turn: float, move: float, count: int) -> Ints:
-    """Indices of the first `count` poses that differ from all before by an angle `turn` or a distance `move`."""
-    turned = np.abs(np.angle(np.exp(1j * (angle[:, None] - angle[None]))))
-    moved = np.linalg.norm(t[:, None] - t[None], axis=-1)
-    alike = (turned < turn) & (moved < move)
-    free = np.ones(len(angle), dtype=bool)
+def _first_different(alike: Bools, count: int) -> Ints:
+    """Indices of the first `count` that are not alike (K, K) to any before."""
+    free = np.ones(len(alike), dtype=bool)
     kept: list[int] = []
     while free.any() and len(kept) < count:
         first = int(free.argmax())

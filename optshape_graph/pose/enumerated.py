@@ -150,11 +150,11 @@ def _score(problem: Problem, starts: Floats, scan: Scan) -> _Candidates:
 
     A first round tells the starts apart. A second works out the best and the associations next to it.
     """
-    first = _rank(problem, propagate(problem, starts, relinearisations=3, sweeps=4), scan)
+    first = _rank(problem, propagate(problem, starts, relinearisations=2, sweeps=3), scan)
     best = first.posterior.select(slice(0, 1))
     labels = np.vstack([best.geometry.labels, alternative_labels(problem, best, _ALTERNATIVES)])
     T = np.repeat(best.T_target_lidar, len(labels), axis=0)
-    second = _rank(problem, propagate(problem, T, relinearisations=2, labels=labels), scan)
+    second = _rank(problem, propagate(problem, T, relinearisations=2, labels=labels, sweeps=4), scan)
     merged = concatenate(second.posterior, first.posterior)
     return _distinct(merged, np.concatenate([second.score, first.score]))
 
@@ -210,7 +210,8 @@ def _measurement(
     edge_rows = np.vstack(stacks)
     A, r = np.vstack([edge_rows[:, -13:-1], A_plane]), np.concatenate([edge_rows[:, -1], r_plane])
     columns = np.vstack([edge_rows[:, :-13], np.column_stack([returns.bias, np.zeros(len(r_plane))])])
-    shared = BiasedMeasurement.from_rows(A, columns, r, candidates.posterior.T_target_lidar[0])
+    names = [*(f"range bias of ring {k}" for k in range(returns.bias.shape[1])), "offset across edges"]
+    shared = BiasedMeasurement.from_rows(A, columns, r, candidates.posterior.T_target_lidar[0], shared=names)
     return replace(shared, n_rows=len(problem.edges) + len(r_plane)), total
 
 

@@ -158,7 +158,7 @@ def _exit_edges(yz: Floats, outward: Floats, target: Target) -> Ints:
 
 
 def propagate(
-    problem: Problem, T: Floats, relinearisations: int, labels: Ints | None = None, sweeps: int = 5
+    problem: Problem, T: Floats, *, relinearisations: int, sweeps: int, labels: Ints | None = None
 ) -> Posterior:
     """Find the posterior about each of C poses.
 

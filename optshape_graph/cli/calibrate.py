@@ -1,0 +1,22 @@
+"""`optshape calibrate`: the group of calibrations."""
+
+from __future__ import annotations
+
+import click
+
+from optshape_graph.cli.lazy import LazyGroup
+
+COMMANDS = {
+    "mocap": "optshape_graph.cli.calibrate_mocap",
+    "camera": "optshape_graph.cli.calibrate_camera",
+}
+
+HELP = {
+    "mocap": "A LiDAR and motion capture, from scans of a target with markers.",
+    "camera": "LiDARs and cameras, from scans and images of targets.",
+}
+
+
+@click.group(cls=LazyGroup, commands_at=COMMANDS, help_of=HELP)
+def command() -> None:
+    """Calibrate a LiDAR to motion capture, or to a camera."""

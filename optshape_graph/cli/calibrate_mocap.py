@@ -1,0 +1,97 @@
+"""`optshape calibrate mocap`: a LiDAR tied to motion capture, and its estimates compared with the markers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from optshape_graph.calibration.mocap_comparison import ScanError
+
+
+@click.command()
+@click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
+@click.option("--estimate-scale", is_flag=True, help="Estimate the motion capture's scale too; else it is 1.")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+def command(session: Path, estimate_scale: bool, json_path: Path | None) -> int:
+    """Calibrate T_lidar_mocap and the marker layout of a session, and compare the estimates with the markers.
+
+    Errors are leave-one-out: each scan is compared in a frame fitted to the other scans. Exit status 3: some scans took
+    no part; the results of the others are written.
+    """
+    import numpy as np
+
+    from optshape_graph.calibration.mocap import calibrate_mocap
+    from optshape_graph.calibration.mocap_comparison import mean_error
+    from optshape_graph.calibration.mocap_session import load_mocap_scans
+    from optshape_graph.cli.console import print_table, progress_bar
+    from optshape_graph.io import load_session
+    from optshape_graph.io.documents import write_json
+
+    with progress_bar("estimating") as progress:
+        scans, left_out = load_mocap_scans(load_session(session), progress)
+    for item in left_out:
+        click.echo(f"optshape: left out {item.scan}: {item.reason}", err=True)
+    result = calibrate_mocap(scans, estimate_scale=estimate_scale)
+    sd = np.sqrt(np.diag(result.covariance))
+    document: dict[str, Any] = {
+        "schema": "optshape/mocap/1",
+        "protocol": "leave-one-out",
+        "T_lidar_mocap": result.T_lidar_mocap.tolist(),
+        "covariance": result.covariance.tolist(),
+        "marker_layout": result.marker_layout.tolist(),
+        "scans": [_entry(error) for error in result.leave_one_out],
+        "mean": _numbers(mean_error(result.leave_one_out)),
+        "in_sample": {
+            "scans": [_entry(error) for error in result.in_sample],
+            "mean": _numbers(mean_error(result.in_sample)),
+        },
+        "T_mocap_lidar": result.T_mocap_lidar.tolist(),
+        "covariance_mocap_lidar": result.covariance_mocap_lidar.tolist(),
+        "scale": result.scale,
+        "scale_sigma": result.scale_sigma,
+        "scatter": result.scatter,
+        "left_out": [{"scan": item.scan, "reason": item.reason} for item in left_out],
+    }
+    if json_path:
+        write_json(json_path, document)
+    _print_errors(print_table, result.leave_one_out, result.in_sample)
+    print_table(
+        "T_lidar_mocap (motion-capture points into the LiDAR frame; T_mocap_lidar is its inverse)",
+        ["row", "", "", "", ""],
+        [[str(k), *(f"{value:.6f}" for value in row)] for k, row in enumerate(result.T_lidar_mocap)],
+        f"sd, motion-capture frame: rotation {_list(np.degrees(sd[:3]), 2)} deg, "
+        f"translation {_list(1e3 * sd[3:], 1)} mm" + (f"; scale {result.scale:.4f}" if estimate_scale else ""),
+    )
+    return 3 if left_out else 0
+
+
+def _print_errors(print_table: Any, loo: Sequence[ScanError], inside: Sequence[ScanError]) -> None:
+    from optshape_graph.calibration.mocap_comparison import mean_error
+
+    rows = [
+        [a.scan, *(f"{value:.4f}" for value in (a.rmse_m, a.e_t_m)), f"{a.e_r_deg:.2f}",
+         *(f"{value:.4f}" for value in (b.rmse_m, b.e_t_m)), f"{b.e_r_deg:.2f}"]
+        for a, b in zip([*loo, mean_error(loo)], [*inside, mean_error(inside)], strict=True)
+    ]  # fmt: skip
+    print_table(
+        "LiDAR estimates against the markers",
+        ["scan", "RMSE [m]", "e_t [m]", "e_r [deg]", "in-sample RMSE [m]", "e_t [m]", "e_r [deg]"],
+        rows,
+        "Leave-one-out: each scan in a frame fitted to the others. In-sample: in a frame fitted to all.",
+    )
+
+
+def _entry(error: ScanError) -> dict[str, Any]:
+    return {"scan": error.scan, **_numbers(error)}
+
+
+def _numbers(error: ScanError) -> dict[str, float]:
+    return {"rmse_m": error.rmse_m, "e_t_m": error.e_t_m, "e_r_deg": error.e_r_deg}
+
+
+def _list(values: Any, digits: int) -> str:
+    return " ".join(f"{value:.{digits}f}" for value in values)

@@ -1,0 +1,308 @@
+"""`optshape design`: find a target shape, judge shapes, draw one for the workshop."""
+
+from __future__ import annotations
+
+from math import radians
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+    from optshape_graph.design.judgement import Judgement
+    from optshape_graph.design.multistart import Search
+    from optshape_graph.design.problem import Problem, Start
+
+FILE = click.Path(dir_okay=False, path_type=Path)
+FOLDER = click.Path(file_okay=False, path_type=Path)
+STUDIED = ("square", "diamond", "triangle", "paper", "built@1", "optimal", "optimal3", "optimal5")
+PAPERS = click.Choice(["A0", "A1", "A2", "A3", "A4"], case_sensitive=False)
+
+
+@click.group()
+def command() -> None:
+    """Design target shapes: find one, judge them, draw one at 1:1.
+
+    A SHAPE is a built-in name (square, paper, optimal, ...), NAME@AREA in m2, or a target file.
+    """
+
+
+@command.command()
+@click.option("--sides", default=4, show_default=True, help="Sides of the polygon.")
+@click.option("--rings", nargs=2, type=int, default=(5, 4), show_default=True, help="Areas, and rings in each.")
+@click.option("--sensor", help="Take the rings of this sensor instead (name or file), at --distance.")
+@click.option("--distance", type=float, default=10.0, show_default=True, help="Of the target from the sensor, m.")
+@click.option("--area", type=float, default=1.0, show_default=True, help="Of the target, m2.")
+@click.option("--shortest-edge", type=float, help="At least, m.  [default: 0.4 for 1 m2, and in proportion]")
+@click.option("--smallest-angle-deg", type=float, help="At least, between two edges.")
+@click.option("--aspect", type=float, help="At most: the diameter over the smallest width.")
+@click.option("--asymmetry", type=float, default=0.12, show_default=True, help="At least; 0 allows symmetric shapes.")
+@click.option("--sheet", type=PAPERS, help="The target fits on this sheet whole.")
+@click.option("--starts", default=64, show_default=True, help="Random starts.")
+@click.option("--seed", default=0, show_default=True, help="Of the starts: the same seed finds the same shape.")
+@click.option("--workers", default=1, show_default=True, help="Processes; the result does not depend on it.")
+@click.option("--name", help="Of the target.  [default: the output's]")
+@click.option("--plots", type=FOLDER, help="Write plots of the result here.")
+@click.option("-o", "--output", type=FILE, default=Path("target.yaml"), show_default=True, help="Target file to write.")
+def optimise(
+    sides: int,
+    rings: tuple[int, int],
+    sensor: str | None,
+    distance: float,
+    area: float,
+    shortest_edge: float | None,
+    smallest_angle_deg: float | None,
+    aspect: float | None,
+    asymmetry: float,
+    sheet: str | None,
+    starts: int,
+    seed: int,
+    workers: int,
+    name: str | None,
+    plots: Path | None,
+    output: Path,
+) -> None:
+    """Find the shape whose worst score is best.
+
+    The worst is taken over every orientation and every partly lit area. Finished starts are kept in OUTPUT's folder,
+    in a folder named after it; run the same command again to go on after an interruption.
+    """
+    from optshape_graph.design.family import Family
+    from optshape_graph.design.judgement import judge
+    from optshape_graph.design.limits import SHEETS, Limits
+    from optshape_graph.design.problem import Problem
+    from optshape_graph.design.rings import SensorRings, UniformRings
+    from optshape_graph.io.sensors import load_sensor
+    from optshape_graph.io.targets import save_target
+
+    limits = Limits(
+        area=area,
+        shortest_edge=0.4 * max(area, 0.0) ** 0.5 if shortest_edge is None else shortest_edge,
+        smallest_angle=None if smallest_angle_deg is None else radians(smallest_angle_deg),
+        aspect=aspect,
+        asymmetry=asymmetry or None,
+        sheet=None if sheet is None else SHEETS[sheet.upper()],
+    )
+    lit = SensorRings.of(load_sensor(sensor), distance, area=area) if sensor else UniformRings(*rings)
+    found = _search(Problem(Family(sides), lit, limits), starts, seed, workers, output.with_suffix(".starts"))
+    target = found.target(name or output.stem)
+    save_target(output, target)
+    click.echo(f"best of {starts} starts (number {found.best.index}): score {found.best.score:.5f}; wrote {output}")
+    judgement = judge(target)
+    _show([judgement])
+    if plots is not None:
+        from optshape_graph.viz import design as viz
+
+        _save(viz.plot_comparison([judgement]), plots / "shape.png")
+        _save(viz.plot_cells(target, lit), plots / "cells.png")
+        _save(viz.plot_sensitivity(target, lit), plots / "sensitivity.png")
+        _save(viz.plot_search(found), plots / "search.png")
+        _save(viz.plot_convexity(), plots / "convexity.png")
+
+
+@command.command()
+@click.argument("shapes", nargs=-1, required=True, metavar="SHAPE...")
+@click.option("--sensor", default="vlp32c", show_default=True, help="To bound the pose for: name or file.")
+@click.option("--distance", type=float, default=10.0, show_default=True, help="Of the target from it, m.")
+@click.option("--plot", type=FILE, help="Write a plot that compares the shapes.")
+@click.option("-o", "--output", type=FILE, help="Write the numbers as JSON.")
+def score(shapes: tuple[str, ...], sensor: str, distance: float, plot: Path | None, output: Path | None) -> None:
+    """Judge shapes: score, symmetry, and the Cramer-Rao bound on the pose.
+
+    Scores are those of the shape at 1 m2; the bound is that of the shape at the size it has, facing the sensor, over
+    36 orientations and 3 heights: the median and the worst.
+    """
+    from rich.progress import track
+
+    from optshape_graph.design.judgement import judge
+    from optshape_graph.io.documents import write_json
+    from optshape_graph.io.sensors import load_sensor
+    from optshape_graph.io.targets import load_target
+
+    model = load_sensor(sensor)
+    targets = [load_target(shape) for shape in shapes]
+    judgements = [
+        judge(target, model, distance) for target in track(targets, "judging", console=_console(), transient=True)
+    ]
+    _show(judgements)
+    if output is not None:
+        rows = [_row(judgement) for judgement in judgements]
+        write_json(output, {"schema": "optshape/design-scores/1", "sensor": model.name, "shapes": rows})
+    if plot is not None:
+        from optshape_graph.viz.design import plot_comparison
+
+        _save(plot_comparison(judgements), plot)
+
+
+@command.command()
+@click.argument("shape")
+@click.option("--format", "suffix", type=click.Choice(["svg", "dxf", "pdf"]), default="pdf", show_default=True)
+@click.option("--paper", type=PAPERS, help="Spread SVG or PDF over sheets.  [default: one large sheet]")
+@click.option("-o", "--output", type=FILE, help="File to write.  [default: SHAPE.FORMAT]")
+def export(shape: str, suffix: str, paper: str | None, output: Path | None) -> None:
+    """Draw a target at 1:1: the face that the LiDAR sees, with its dimensions.
+
+    The drawing is the mirror image of the vertex list, which is given as seen from behind. The target file that
+    everything else reads is written beside it.
+    """
+    from optshape_graph.design.drawing import draw
+    from optshape_graph.design.formats import export as write
+    from optshape_graph.io.targets import load_target, save_target
+
+    target = load_target(shape)
+    path = Path(f"{target.name}.{suffix}") if output is None else output
+    if path.suffix.lower() != f".{suffix}":
+        raise click.UsageError(f"--format {suffix} writes a .{suffix} file; found {path}")
+    for written in write(draw(target), path, None if paper is None else paper.upper()):
+        click.echo(f"wrote {written}")
+    description = path.with_suffix(".yaml")
+    if not description.exists():
+        save_target(description, target)
+        click.echo(f"wrote {description}")
+
+
+@command.command()
+@click.option("--shapes", default=33, show_default=True, help="Random shapes, beside the built-in ones.")
+@click.option("--sensor", default="vlp32c", show_default=True, help="Name or file.")
+@click.option("--distances", default="8,14,20", show_default=True, help="Of the target, m.")
+@click.option("--placements", default=16, show_default=True, help="At each distance.")
+@click.option("--seed", default=0, show_default=True, help="Of shapes, placements and noise.")
+@click.option("--workers", default=1, show_default=True, help="Processes; the result does not depend on it.")
+@click.option("-o", "--output", type=FOLDER, default=Path("study"), show_default=True, help="Folder to write to.")
+def study(shapes: int, sensor: str, distances: str, placements: int, seed: int, workers: int, output: Path) -> None:
+    """Ask whether a better score means a better pose: simulate shapes of 1 m2, and estimate their poses.
+
+    Writes the numbers, a plot, and every finished shape; run it again to go on after an interruption.
+    """
+    from rich.progress import Progress
+
+    from optshape_graph.evaluation.shape_study import random_placements, random_shapes, study_shapes
+    from optshape_graph.io.documents import write_json
+    from optshape_graph.io.sensors import load_sensor
+    from optshape_graph.io.targets import load_target
+    from optshape_graph.viz.design import plot_study
+
+    try:
+        metres = [float(text) for text in distances.split(",")]
+    except ValueError as error:
+        raise click.BadParameter(f"expected numbers with commas between, found '{distances}'") from error
+    targets = [load_target(name) for name in STUDIED] + random_shapes(shapes, seed)
+    poses = random_placements(metres, placements, seed)
+    with Progress(console=_console(), transient=True) as bar:
+        task = bar.add_task("shapes", total=len(targets))
+        found = study_shapes(
+            targets,
+            load_sensor(sensor),
+            poses,
+            seed,
+            output / "shapes",
+            workers=workers,
+            progress=lambda done, total: bar.update(task, completed=done),
+        )
+    for name, text in (("score", "score"), ("bound_r", "Cramer-Rao bound")):
+        result = found.correlation(name)
+        click.echo(f"rank correlation of the {text} with the median e_r: {result.rho:+.2f} (p = {result.p_value:.1g})")
+    write_json(output / "study.json", {"schema": "optshape/design-study/1", **found.summary()})
+    click.echo(f"wrote {output / 'study.json'}")
+    _save(plot_study(found), output / "study.png")
+
+
+def _search(problem: Problem, starts: int, seed: int, workers: int, folder: Path) -> Search:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from optshape_graph.design.multistart import search
+
+    best = 0.0
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=_console(), transient=True) as bar:
+        task = bar.add_task("starts", total=starts)
+
+        def progress(start: Start) -> None:
+            nonlocal best
+            best = max(best, start.score if start.slack >= 0 else 0.0)
+            bar.update(task, advance=1, description=f"starts (best {best:.5f})")
+
+        return search(problem, starts, seed, workers, folder, progress)
+
+
+def _show(judgements: list[Judgement]) -> None:
+    from rich.table import Table
+
+    table = Table(box=None, header_style="bold")
+    names = ["shape", "sides", "area m2", "shortest m", "six rotations", "every 1 deg", "every 0.1 deg", "asymmetry"]
+    bounded = [judgement.bound for judgement in judgements if judgement.bound is not None]
+    if bounded:
+        names += [f"e_t mm at {bounded[0].distance:g} m", "e_r deg", "in plane deg"]
+    for i, name in enumerate(names):
+        table.add_column(name, justify="right" if i else "left")
+    for judgement in judgements:
+        row = _row(judgement)
+        cells = [
+            row["name"],
+            str(row["sides"]),
+            f"{row['area_m2']:.3f}",
+            f"{row['shortest_edge_m']:.3f}",
+            f"{row['score_six_rotations']:.5f}",
+            f"{row['score_every_degree']:.5f}",
+            f"{row['score_every_tenth_degree']:.5f}",
+            f"{row['asymmetry']:.3f} at {row['asymmetry_at_deg']:.0f}°",
+        ]
+        if judgement.bound is not None:
+            for key, unit, digits in (("e_t_m", 1e3, 1), ("e_r_deg", 1, 2), ("e_in_plane_deg", 1, 2)):
+                cells.append(" / ".join(_number(value, unit, digits) for value in row[key]))
+        table.add_row(*cells)
+    _console(err=False).print(table)
+
+
+def _row(judgement: Judgement) -> dict[str, Any]:
+    from math import degrees, isfinite
+
+    target, bound = judgement.target, judgement.bound
+    row: dict[str, Any] = {
+        "name": target.name,
+        "sides": len(target),
+        "area_m2": target.area,
+        "shortest_edge_m": float(target.edge_lengths.min()),
+        "score_six_rotations": judgement.six_rotations,
+        "score_every_degree": judgement.every_degree,
+        "score_every_tenth_degree": judgement.every_tenth,
+        "asymmetry": judgement.self_rotation.distance,
+        "asymmetry_at_deg": degrees(judgement.self_rotation.angle),
+    }
+    if bound is not None:
+        # null: the pose is not determined in the worst placement.
+        for key, values in (
+            ("e_t_m", bound.e_t),
+            ("e_r_deg", [degrees(value) for value in bound.e_r]),
+            ("e_in_plane_deg", [degrees(value) for value in bound.e_in_plane]),
+        ):
+            row[key] = [value if isfinite(value) else None for value in values]
+        row["distance_m"] = bound.distance
+    return row
+
+
+def _number(value: float | None, unit: float, digits: int) -> str:
+    return "∞" if value is None else f"{value * unit:.{digits}f}"
+
+
+def _console(err: bool = True) -> Console:
+    from rich.console import Console
+
+    # A table is as wide as it is: what reads a pipe should not find it broken into lines.
+    console = Console(stderr=err)
+    return console if err or console.is_terminal else Console(width=200)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    import io
+
+    from optshape_graph.io.documents import write_atomically
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=path.suffix.lstrip(".") or "png", dpi=120)
+    write_atomically(path, buffer.getvalue())
+    click.echo(f"wrote {path}")

@@ -1,0 +1,176 @@
+"""`optshape extract`: a session out of a bag or a folder of clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from optshape_graph.io.mocap import MocapRecording
+    from optshape_graph.io.recordings import Extraction, Recording
+
+SOURCES = ("camera", "mocap")
+
+
+@click.command()
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder to write the session to.")
+@click.option("--list", "listing", is_flag=True, help="List the topics and exit.")
+@click.option("--sensor", "sensor_name", help="The LiDAR: built-in name or file.")
+@click.option("--target", "target_names", multiple=True, help="Built-in name, NAME@AREA, or file. May be repeated.")
+@click.option("--topic", "topics", multiple=True, help="Topic of scans, images or poses; not needed where there is "
+              "only one of a kind. May be repeated.")  # fmt: skip
+@click.option("--camera", "camera_file", type=click.Path(path_type=Path),
+              help="Intrinsics (optshape/camera/1, ROS or Kalibr) instead of those in the recording.")  # fmt: skip
+@click.option("--no-images", is_flag=True, help="Leave images out.")
+@click.option("--mocap", "mocap_file", type=click.Path(path_type=Path),
+              help="Motion capture: Qualisys .tsv or .mat, .c3d, Motive or Vicon .csv.")  # fmt: skip
+@click.option("--body", multiple=True, metavar="MARKER",
+              help="Marker on the moving sensor instead of on a target. May be repeated.")  # fmt: skip
+@click.option("--clock-offset", "offsets", multiple=True, metavar="SOURCE=SECONDS",
+              help="What to add to the times of `camera` or `mocap` to get the LiDAR's.")  # fmt: skip
+@click.option("--estimate-clock-offset", "estimate", is_flag=True,
+              help="Estimate the offset of motion capture from the turning of the sensor: its poses in the recording "
+              "against the markers of --body (all, if it is left out).")  # fmt: skip
+@click.option("--tolerance", default=0.05, show_default=True, metavar="SECONDS", help="Between a scan and its image.")
+@click.option("--start", default=0.0, metavar="SECONDS", help="Since the first scan.")
+@click.option("--end", default=float("inf"), metavar="SECONDS", help="Since the first scan.")
+@click.option("--every", default=0.0, metavar="SECONDS", help="Smallest time between two views.")
+def command(
+    recording: Path,
+    output: Path | None,
+    listing: bool,
+    sensor_name: str | None,
+    target_names: tuple[str, ...],
+    topics: tuple[str, ...],
+    camera_file: Path | None,
+    no_images: bool,
+    mocap_file: Path | None,
+    body: tuple[str, ...],
+    offsets: tuple[str, ...],
+    estimate: bool,
+    tolerance: float,
+    start: float,
+    end: float,
+    every: float,
+) -> None:
+    """Cut a session out of RECORDING: scans, and the images and markers of the same moments.
+
+    RECORDING is a ROS 1 or ROS 2 bag, an .mcap file, or a folder of clouds with timestamps.txt. Messages are placed
+    by their header's stamp. A scan becomes a view if it has everything that was asked for; what was paired and what
+    was dropped is reported, and written to extract.json beside session.yaml. The exit status is 0 if there is a view.
+    """
+    from optshape_graph.io import load_sensor, load_target
+    from optshape_graph.io.recordings import Recording, Selection, extract_session
+
+    opened = Recording(recording)
+    if listing:
+        for topic in opened.topics:
+            click.echo(
+                f"{topic.kind:7} {topic.count if topic.count is not None else '':>8} {topic.name} ({topic.type})"
+            )
+        return
+    if output is None or sensor_name is None or not target_names:
+        raise click.UsageError("--output, --sensor and --target are needed to write a session")
+    named = {opened.named(topic).kind: topic for topic in topics}
+    if len(named) < len(topics):
+        raise click.UsageError(f"several --topic of one kind: {', '.join(topics)}")
+    given = _offsets(offsets)
+    mocap = _mocap(mocap_file)
+    if estimate:
+        if mocap is None or "mocap" in given:
+            raise click.UsageError("--estimate-clock-offset needs --mocap, and no --clock-offset mocap=...")
+        given["mocap"] = _estimated(opened, mocap, body, named.get("pose"))
+    camera, image_topic = (None, None) if no_images else _camera(opened, camera_file, named.get("image"))
+    extraction = extract_session(
+        opened,
+        output,
+        sensor=load_sensor(sensor_name),
+        targets=[load_target(name) for name in target_names],
+        scan_topic=named.get("scan"),
+        image_topic=image_topic,
+        camera=camera,
+        camera_offset=given.get("camera", 0.0),
+        mocap=None if mocap is None else _of_targets(mocap, body),
+        mocap_offset=given.get("mocap", 0.0),
+        selection=Selection(tolerance, start, end, every),
+        track=_track,
+    )
+    _say(extraction)
+
+
+def _offsets(offsets: tuple[str, ...]) -> dict[str, float]:
+    given = {}
+    for text in offsets:
+        source, _, seconds = text.partition("=")
+        try:
+            given[source] = float(seconds)
+        except ValueError as error:
+            raise click.UsageError(f"--clock-offset {text}: expected SOURCE=SECONDS") from error
+        if source not in SOURCES:
+            raise click.UsageError(f"--clock-offset {text}: the source is one of {', '.join(SOURCES)}")
+    return given
+
+
+def _mocap(file: Path | None) -> MocapRecording | None:
+    from optshape_graph.io.mocap import read_mocap
+
+    return None if file is None else read_mocap(file)
+
+
+def _of_targets(mocap: MocapRecording, body: tuple[str, ...]) -> MocapRecording:
+    if body:
+        mocap.select(body)  # an error if one of them is not there
+    return mocap.select([marker for marker in mocap.markers if marker not in body])
+
+
+def _estimated(recording: Recording, mocap: MocapRecording, body: tuple[str, ...], topic: str | None) -> float:
+    from optshape_graph.io.recordings import estimate_mocap_offset
+
+    found = estimate_mocap_offset(recording, mocap.select(body) if body else mocap, topic, _track)
+    click.echo(
+        f"clock offset of mocap: {found.seconds:.4f} s +- {found.standard_deviation:.4f} "
+        f"(correlation {found.correlation:.3f}, elsewhere at most {found.runner_up:.3f}, over {found.overlap:.0f} s)"
+    )
+    return found.seconds
+
+
+def _camera(recording: Recording, file: Path | None, topic: str | None) -> tuple[Any, str | None]:
+    """Return the intrinsics and the topic of images; nothing, and why, where they cannot be told."""
+    from optshape_graph import InputError
+    from optshape_graph.io import load_camera
+
+    if topic is None and file is None and not any(t.kind == "image" for t in recording.topics):
+        return None, None
+    try:
+        chosen = recording.topic("image", topic).name
+        return (load_camera(file) if file else recording.camera_of(chosen)), chosen
+    except InputError as error:
+        if topic is not None or file is not None:
+            raise
+        click.echo(f"images are left out: {error}", err=True)
+        return None, None
+
+
+def _track(items: Iterable[Any], doing: str, total: int | None) -> Iterable[Any]:
+    from rich.console import Console
+    from rich.progress import track
+
+    return track(items, description=doing, total=total, console=Console(stderr=True), transient=True)
+
+
+def _say(extraction: Extraction) -> None:
+    click.echo(f"{extraction.session}: {extraction.views} views of {extraction.scans} scans")
+    if len(extraction.lags):
+        click.echo(f"  images are {abs(extraction.lags).mean() * 1e3:.1f} ms from their scans, "
+                   f"{abs(extraction.lags).max() * 1e3:.1f} at most")  # fmt: skip
+    if extraction.thinned:
+        click.echo(f"  {extraction.thinned} left out by --every")
+    for reason, count in extraction.dropped.items():
+        click.echo(f"  {count} dropped: {reason}")
+    for stream, reasons in extraction.skipped.items():
+        for reason, count in reasons.items():
+            click.echo(f"  {count} messages of {stream} skipped: {reason}")

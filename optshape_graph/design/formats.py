@@ -1,0 +1,174 @@
+"""Drawings to files at 1:1: SVG and PDF (matplotlib), DXF (ezdxf). All are written atomically."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optshape_graph.design.drawing import Drawing, Layer
+from optshape_graph.design.sheets import Sheet, lay_out
+from optshape_graph.errors import InputError, missing_extra
+from optshape_graph.io.documents import write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FORMATS = ("svg", "pdf", "dxf")
+
+MM_PER_INCH = 25.4
+POINTS_PER_MM = 72.0 / MM_PER_INCH
+
+CAP_HEIGHT = 0.729
+"""Height of capitals of DejaVu Sans, which matplotlib brings, per unit of font size."""
+
+COLOURS = {Layer.CUT: "black", Layer.DIMENSION: "#1f5fa8", Layer.MARK: "#444444", Layer.SHEET: "#c03020"}
+WIDTHS_MM = {Layer.CUT: 0.5, Layer.DIMENSION: 0.18, Layer.MARK: 0.25, Layer.SHEET: 0.18}
+DXF_COLOURS = {Layer.CUT: 7, Layer.DIMENSION: 5, Layer.MARK: 8, Layer.SHEET: 1}
+"""AutoCAD colour indices."""
+
+DXF_DASH_SCALE = 20.0
+"""Of the standard dash pattern, which is made for drawings of a few millimetres."""
+
+
+def export(drawing: Drawing, path: Path, paper: str | None = None) -> list[Path]:
+    """Write a drawing at 1:1 in the format that the file name ends in.
+
+    A PDF has a page per sheet; an SVG of several sheets becomes several files, numbered from the top left; a DXF is
+    for a machine, and always whole.
+
+    Args:
+        drawing: the drawing.
+        path: the file: .svg, .pdf or .dxf.
+        paper: A0 ... A4, to spread an SVG or a PDF over sheets; None: one sheet as large as the drawing.
+
+    Returns:
+        the files written.
+
+    Raises:
+        InputError: the format or the paper is not known.
+        MissingExtraError: the drawing library is absent.
+    """
+    suffix = path.suffix.lower().lstrip(".")
+    if suffix not in FORMATS:
+        raise InputError(f"{path}: expected a file name that ends in .{', .'.join(FORMATS)}")
+    if suffix == "dxf":
+        write_atomically(path, _dxf(drawing))
+        return [path]
+    sheets = lay_out(drawing, paper)
+    if suffix == "pdf":
+        write_atomically(path, _pdf(drawing, sheets))
+        return [path]
+    many = len(sheets) > 1
+    paths = [path.with_stem(f"{path.stem}-{i + 1}") if many else path for i in range(len(sheets))]
+    for sheet_path, sheet in zip(paths, sheets, strict=True):
+        write_atomically(sheet_path, _svg(drawing, sheet))
+    return paths
+
+
+def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
+    """Return one sheet as a figure of the paper's size: a millimetre of the drawing is a millimetre of paper.
+
+    Raises:
+        MissingExtraError: matplotlib is absent.
+    """
+    try:
+        from matplotlib.figure import Figure
+        from matplotlib.patches import Polygon, Rectangle
+    except ImportError as cause:
+        raise missing_extra("matplotlib", "design", cause) from cause
+    width, height = sheet.size
+    x, y = sheet.origin
+    figure = Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH))
+    figure.patch.set_visible(False)  # a machine that cuts would cut round the page
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set(xlim=(x, x + width), ylim=(y, y + height))
+    axes.set_axis_off()
+    window = Rectangle(sheet.window[:2], *sheet.window[2:], transform=axes.transData)
+    labels = () if sheet.label is None else (sheet.label,)
+    for lines, texts, clip in ((drawing.polylines, drawing.texts, window), (sheet.marks, labels, None)):
+        for line in lines:
+            style = (0, (12, 6)) if line.name.startswith("diagonal") else "solid"
+            patch = Polygon(
+                line.points,
+                closed=line.closed,
+                fill=False,
+                edgecolor=COLOURS[line.layer],
+                linewidth=WIDTHS_MM[line.layer] * POINTS_PER_MM,
+                linestyle=style,
+                joinstyle="miter",
+                gid=line.name or None,
+            )
+            axes.add_patch(patch)
+            if clip is not None:
+                patch.set_clip_path(clip)
+        for text in texts:
+            artist = axes.text(
+                *text.position,
+                text.text,
+                ha="center",
+                va="center",
+                rotation=float(np.degrees(text.angle)),
+                rotation_mode="anchor",
+                color=COLOURS[text.layer],
+                fontsize=text.height / CAP_HEIGHT * POINTS_PER_MM,
+                family="DejaVu Sans",
+            )
+            if clip is not None:
+                artist.set_clip_path(clip)
+                artist.set_clip_on(True)
+    return figure
+
+
+def _svg(drawing: Drawing, sheet: Sheet) -> bytes:
+    figure = figure_of(drawing, sheet)
+    import matplotlib
+
+    buffer = io.BytesIO()
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": drawing.title, "path.simplify": False}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Title": drawing.title})
+    return buffer.getvalue()
+
+
+def _pdf(drawing: Drawing, sheets: list[Sheet]) -> bytes:
+    figures = [figure_of(drawing, sheet) for sheet in sheets]
+    import matplotlib
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    buffer = io.BytesIO()
+    with (
+        matplotlib.rc_context({"pdf.fonttype": 42, "path.simplify": False}),
+        PdfPages(buffer, metadata={"CreationDate": None, "Title": drawing.title}) as pages,
+    ):
+        for figure in figures:
+            pages.savefig(figure)
+    return buffer.getvalue()
+
+
+def _dxf(drawing: Drawing) -> str:
+    try:
+        from ezdxf.enums import TextEntityAlignment
+        from ezdxf.filemanagement import new
+    except ImportError as cause:
+        raise missing_extra("ezdxf", "design", cause) from cause
+    document = new("R2010", setup=True, units=4)  # 4: millimetres
+    for layer in Layer:
+        document.layers.add(layer, color=DXF_COLOURS[layer])
+    space = document.modelspace()
+    for line in drawing.polylines:
+        linetype = "DASHED" if line.name.startswith("diagonal") else "BYLAYER"
+        space.add_lwpolyline(
+            line.points.tolist(),
+            close=line.closed,
+            dxfattribs={"layer": line.layer, "linetype": linetype, "ltscale": DXF_DASH_SCALE},
+        )
+    for text in drawing.texts:
+        entity = space.add_text(
+            text.text, height=text.height, rotation=float(np.degrees(text.angle)), dxfattribs={"layer": text.layer}
+        )
+        entity.set_placement(text.position, align=TextEntityAlignment.MIDDLE_CENTER)
+    stream = io.StringIO()
+    document.write(stream)
+    return stream.getvalue()

@@ -1,0 +1,169 @@
+"""Many starts from one seed, over processes; every finished start is kept, so that a killed search resumes."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optshape_graph._arrays import Floats
+from optshape_graph.design.polygons import centred
+from optshape_graph.design.problem import Problem, Start, random_parameters, solve
+from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.io.documents import read_document, write_json
+from optshape_graph.target import Target
+
+KIND = "design-start"
+
+
+@dataclass(frozen=True)
+class Search:
+    """The ends of all starts, in the order of their numbers.
+
+    Attributes:
+        problem: what was sought.
+        seed: what the starts were drawn from.
+        starts: where each ended.
+    """
+
+    problem: Problem
+    seed: int
+    starts: tuple[Start, ...]
+
+    @property
+    def best(self) -> Start:
+        """The admissible end with the largest score.
+
+        Raises:
+            EstimationError: no start ended within the limits.
+        """
+        admissible = [start for start in self.starts if start.slack >= 0]
+        if not admissible:
+            raise EstimationError(
+                f"none of {len(self.starts)} starts found a shape within the limits; "
+                "allow more starts, or less strict limits"
+            )
+        return max(admissible, key=lambda start: start.score)
+
+    def target(self, name: str = "optimal") -> Target:
+        """Return the best shape, with the area that the limits name."""
+        return Target.from_polygon(self.upright_polygon(self.best) * np.sqrt(self.problem.limits.area), name)
+
+    def upright_polygon(self, start: Start) -> Floats:
+        """(n, 2) the shape that a start ended at, of unit area, standing as `upright` says."""
+        return upright(self.problem.family.polygons(start.parameters)[0])
+
+
+def search(
+    problem: Problem,
+    starts: int,
+    seed: int,
+    workers: int = 1,
+    folder: Path | None = None,
+    progress: Callable[[Start], None] | None = None,
+) -> Search:
+    """Solve from many starts. The result depends on the problem, the seed and the number of starts only.
+
+    Args:
+        problem: what is sought.
+        starts: number of starts.
+        seed: start i is drawn from (seed, i).
+        workers: processes to share the starts among.
+        folder: where finished starts are kept; those found there are not solved again.
+        progress: called with each finished start, in no particular order.
+
+    Raises:
+        InputError: `folder` holds starts of another problem or seed, or no start is asked for.
+    """
+    if starts < 1 or workers < 1:
+        raise InputError(f"expected at least 1 start and 1 worker; found {starts} and {workers}")
+    done: dict[int, Start] = {}
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        done = {i: _read(path, problem, seed) for i in range(starts) if (path := _path(folder, i)).exists()}
+    for start in done.values():
+        if progress is not None:
+            progress(start)
+    todo = [i for i in range(starts) if i not in done]
+    for start in _solved(problem, seed, todo, min(workers, max(len(todo), 1))):
+        done[start.index] = start
+        if folder is not None:
+            write_json(_path(folder, start.index), _document(start, problem, seed))
+        if progress is not None:
+            progress(start)
+    return Search(problem, seed, tuple(done[i] for i in range(starts)))
+
+
+def upright(polygon: Floats) -> Floats:
+    """Return a polygon about its area's centroid, its longest extent level, wider below than above.
+
+    The score is the worst over all orientations, so any is as good; this one stands well.
+    """
+    polygon = centred(polygon)
+    i, j = divmod(int(np.linalg.norm(polygon[:, None] - polygon, axis=-1).argmax()), len(polygon))
+    along = (polygon[j] - polygon[i]) / np.linalg.norm(polygon[j] - polygon[i])
+    turned = polygon @ np.array([[along[0], -along[1]], [along[1], along[0]]])
+    lower, upper = -turned[:, 1].min(), turned[:, 1].max()
+    return np.asarray(turned if upper >= lower else -turned)
+
+
+def _solved(problem: Problem, seed: int, todo: list[int], workers: int) -> Iterator[Start]:
+    if workers == 1:
+        for index in todo:
+            yield _solve_start(problem, seed, index)
+        return
+    # Spawned, not forked: a fork copies the locks of whatever threads the caller runs.
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        futures = [pool.submit(_solve_start, problem, seed, index) for index in todo]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        finally:
+            for future in futures:
+                future.cancel()
+
+
+def _solve_start(problem: Problem, seed: int, index: int) -> Start:
+    return solve(problem, random_parameters(problem, np.random.default_rng([seed, index])), index)
+
+
+def _path(folder: Path, index: int) -> Path:
+    return folder / f"start-{index:05d}.json"
+
+
+def _document(start: Start, problem: Problem, seed: int) -> dict[str, Any]:
+    return {
+        "schema": f"optshape/{KIND}/1",
+        "seed": seed,
+        "problem": _plain(asdict(problem)),
+        "start": _plain(asdict(start)),
+    }
+
+
+def _read(path: Path, problem: Problem, seed: int) -> Start:
+    document = read_document(path, KIND).fields(["schema", "seed", "problem", "start"])
+    if (document["seed"].value, document["problem"].value) != (seed, _plain(asdict(problem))):
+        raise InputError(f"{path}: belongs to a search for another problem or with another seed; use another folder")
+    start = document["start"].fields([field.name for field in fields(Start)])
+    return Start(
+        index=start["index"].integer(),
+        initial=tuple(map(float, start["initial"].numbers(5))),
+        parameters=tuple(map(float, start["parameters"].numbers(5))),
+        score=start["score"].number(),
+        slack=start["slack"].number(),
+        iterations=start["iterations"].integer(),
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Return the value as JSON would give it back."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,197 @@
+"""The design problem: the shape of the family whose worst score over orientations and areas is largest.
+
+max over P of min over cells of Psi (eq. 17 with its signs and orders put right). It is non-smooth, since the worst cell
+changes; in epigraph form, max t such that Psi_c(P) >= t for every cell c, it is a smooth constrained problem between
+the places where a ring passes a vertex. Sequential linear programming with a trust region solves it: minimax problems
+with few parameters end at a vertex of as many active cells, where it converges quadratically.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import linprog
+
+from optshape_graph._arrays import Floats
+from optshape_graph.design.family import Family
+from optshape_graph.design.limits import Limits
+from optshape_graph.design.polygons import centred, rotated
+from optshape_graph.design.rings import Rings, UniformRings
+from optshape_graph.design.sensitivity import MU, cell_scores
+
+LARGEST = np.array([np.inf, 5.0, np.log(5.0), 10.0, 10.0])
+"""Bounds on the magnitudes of the unknowns theta, k, log lambda, v1, v2."""
+
+SMALLEST_DEPTH = 0.02
+"""Bound on v1 x + v2 y + 1, away from the shapes that reach to infinity."""
+
+SPREAD = np.array([np.inf, 0.5, 0.4, 0.7, 0.7])
+"""Standard deviations of random starts; the rotation is uniform."""
+
+ACTIVE_CELLS = 80
+"""Orientations, those with the lowest scores, that enter a linear programme."""
+
+LARGEST_RADIUS, SMALLEST_RADIUS = 0.5, 1e-6
+"""Of the trust region: a box of this half width about the unknowns."""
+
+MOST_ITERATIONS = 60
+SMALLEST_GAIN = 1e-9
+
+MARGIN = 1e-4
+"""Relative slack that the solver keeps, so that what it returns is admissible, not nearly so."""
+
+PENALTY = 1.0
+"""Of the score per unit of violated slack, above the multipliers (scores are of the order of 0.01)."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is sought.
+
+    Attributes:
+        family: the candidates.
+        rings: the rings that light them.
+        limits: what the workshop asks.
+        steps: steps between orientations over half a turn (a full one if the rings are not symmetric), rad: solved
+            with the first, then from there with the second, and so on. The score is that of the last.
+        mu: weight of the chords.
+    """
+
+    family: Family = field(default_factory=Family)
+    rings: Rings = field(default_factory=UniformRings)
+    limits: Limits = field(default_factory=Limits)
+    steps: tuple[float, ...] = (np.pi / 180, np.pi / 1800)
+    mu: float = MU
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where one start of a search ended.
+
+    Attributes:
+        index: which start.
+        initial: (5,) parameters theta, k, lambda, v1, v2 that it started from.
+        parameters: (5,) parameters that it ended at.
+        score: worst score there, over the orientations of the last step.
+        slack: smallest relative slack of the limits: negative if the end is not admissible.
+        iterations: linear programmes solved.
+    """
+
+    index: int
+    initial: tuple[float, ...]
+    parameters: tuple[float, ...]
+    score: float
+    slack: float
+    iterations: int
+
+
+def orientations(rings: Rings, step: float) -> Floats:
+    """(R,) orientations `step` apart, rad: over half a turn where another half would only repeat the scores."""
+    turn = np.pi if rings.half_turn_symmetric else 2 * np.pi
+    return np.arange(0.0, turn - 1e-9, step)
+
+
+def solve(problem: Problem, initial: Floats, index: int = 0) -> Start:
+    """Solve from one start.
+
+    Args:
+        problem: the problem.
+        initial: (5,) parameters.
+        index: number to give the start.
+    """
+    x = _unknowns(initial)
+    iterations = 0
+    for step in problem.steps:
+        x, used = _sequential_lp(problem, x, orientations(problem.rings, step))
+        iterations += used
+    angles = orientations(problem.rings, problem.steps[-1])
+    scores, slacks = _evaluate(problem, x[None], angles)
+    slack = float(slacks.min()) + MARGIN
+    end = tuple(float(value) for value in _parameters(x[None])[0])
+    return Start(index, tuple(map(float, initial)), end, float(scores.min()), slack, iterations)
+
+
+def random_parameters(problem: Problem, rng: np.random.Generator) -> Floats:
+    """(5,) parameters of a random convex member of the family."""
+    while True:
+        x = np.append(rng.uniform(0.0, 2 * np.pi), SPREAD[1:] * rng.standard_normal(4))
+        parameters = _parameters(x[None])[0]
+        if problem.family.depths(parameters).min() > 10 * SMALLEST_DEPTH:
+            return np.asarray(parameters)
+
+
+def _sequential_lp(problem: Problem, x: Floats, angles: Floats) -> tuple[Floats, int]:
+    """Maximise the worst score over `angles` from `x`, and count the linear programmes."""
+    radius, iterations = 0.2, 0
+    scores, slacks = _evaluate(problem, x[None], angles)
+    merit = _merit(scores, slacks)[0]
+    while radius > SMALLEST_RADIUS and iterations < MOST_ITERATIONS:
+        iterations += 1
+        lowest = np.argsort(scores[0].min(axis=-1))[:ACTIVE_CELLS]
+        trial = _lp_step(problem, x, angles[lowest], radius)
+        trial_scores, trial_slacks = _evaluate(problem, trial[None], angles)
+        gain = _merit(trial_scores, trial_slacks)[0] - merit
+        if gain > 0:
+            x, scores, merit = trial, trial_scores, merit + gain
+            radius = min(2.0 * radius, LARGEST_RADIUS)
+        else:
+            radius *= 0.35
+        if 0 < gain < SMALLEST_GAIN:
+            break
+    return x, iterations
+
+
+def _lp_step(problem: Problem, x: Floats, angles: Floats, radius: float) -> Floats:
+    """Maximise t - PENALTY s over a box about x: linearised scores >= t, linearised slacks >= -s."""
+    n, h = len(x), 1e-6
+    around = np.concatenate([x[None], x + h * np.eye(n), x - h * np.eye(n)])
+    scores, slacks = _evaluate(problem, around, angles)
+    scores = scores.reshape(len(around), -1)
+    keep = np.argsort(scores[0])[:ACTIVE_CELLS]
+    scores = scores[:, keep]
+    d_scores = (scores[1 : n + 1] - scores[n + 1 :]).T / (2 * h)
+    d_slacks = (slacks[1 : n + 1] - slacks[n + 1 :]).T / (2 * h)
+    rows = [
+        np.hstack([-d_scores, np.ones((len(d_scores), 1)), np.zeros((len(d_scores), 1))]),
+        np.hstack([-d_slacks, np.zeros((len(d_slacks), 1)), -np.ones((len(d_slacks), 1))]),
+    ]
+    low, high = np.maximum(-radius, -LARGEST - x), np.minimum(radius, LARGEST - x)
+    solution = linprog(
+        np.append(np.zeros(n), [-1.0, PENALTY]),
+        A_ub=np.vstack(rows),
+        b_ub=np.concatenate([scores[0], slacks[0]]),
+        bounds=[*zip(low, high, strict=True), (None, None), (0.0, None)],
+        method="highs",
+    )
+    return x if solution.x is None else np.asarray(x + solution.x[:n])
+
+
+def _evaluate(problem: Problem, x: Floats, angles: Floats) -> tuple[Floats, Floats]:
+    """(B, R, m) scores and (B, c) slacks, less MARGIN, of (B, 5) unknowns; images that are not convex score 0."""
+    parameters = _parameters(x)
+    depths = problem.family.depths(parameters)
+    convex = np.atleast_1d((depths > 0).all(axis=-1))
+    if not convex.all():
+        parameters = np.where(convex[:, None], parameters, [0.0, 0.0, 1.0, 0.0, 0.0])
+    polygons = centred(problem.family.polygons(parameters))
+    scores = np.concatenate(
+        [cell_scores(rotated(polygon, angles), problem.rings, problem.mu)[None] for polygon in polygons]
+    )
+    slacks = np.concatenate([problem.limits.slacks(polygons), depths / SMALLEST_DEPTH - 1.0], axis=-1)
+    return np.where(convex[:, None, None], scores, 0.0), slacks - MARGIN
+
+
+def _merit(scores: Floats, slacks: Floats) -> Floats:
+    return np.asarray(scores.min(axis=(1, 2)) + PENALTY * np.minimum(slacks.min(axis=-1), 0.0))
+
+
+def _parameters(x: Floats) -> Floats:
+    return np.column_stack([x[:, 0], x[:, 1], np.exp(x[:, 2]), x[:, 3:]])
+
+
+def _unknowns(parameters: Floats) -> Floats:
+    """(5,) theta, k, log lambda, v1, v2: what the solver moves."""
+    unknowns = np.array(parameters, dtype=float)
+    unknowns[2] = np.log(unknowns[2])
+    return unknowns

@@ -1,0 +1,128 @@
+"""How far a pose is from the truth, by the paper's formulas and against its covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from optshape_graph._arrays import Floats, frozen
+from optshape_graph.target import Target
+
+
+@dataclass(frozen=True)
+class PoseError:
+    """Errors of one estimate, modulo the target's symmetry (Huang, Clark and Grizzle, Section VI).
+
+    Attributes:
+        rmse: root mean square distance of the vertices from the true ones, metres.
+        e_t: distance between the target origins, metres.
+        e_r: angle between the rotations, rad.
+        distance: of the true vertex mean from the sensor, metres: what percentages are of.
+    """
+
+    rmse: float
+    e_t: float
+    e_r: float
+    distance: float
+
+    @property
+    def rmse_pct(self) -> float:
+        """RMSE in percent of the distance."""
+        return 100.0 * self.rmse / self.distance
+
+    @property
+    def e_t_pct(self) -> float:
+        """Translation error in percent of the distance."""
+        return 100.0 * self.e_t / self.distance
+
+
+def pose_error(target: Target, T_estimated: Floats, T_true: Floats) -> PoseError:
+    """Compare two poses T_lidar_target, (4, 4) each: RMSE, e_t = |t - t~|, e_r = |Log(R R~^T)|.
+
+    Of the poses that the target's symmetry makes equivalent to the estimate, the one with the least RMSE counts.
+    """
+    nearest = nearest_equivalent(target, T_estimated, T_true)
+    difference = _vertices(target, nearest) - _vertices(target, T_true)
+    e_r = np.linalg.norm(gtsam.Rot3.Logmap(gtsam.Rot3(T_true[:3, :3] @ nearest[:3, :3].T)))
+    return PoseError(
+        rmse=float(np.sqrt((difference**2).sum(axis=1).mean())),
+        e_t=float(np.linalg.norm(T_true[:3, 3] - nearest[:3, 3])),
+        e_r=float(e_r),
+        distance=float(np.linalg.norm(T_true[:3, 3])),
+    )
+
+
+def nearest_equivalent(target: Target, T_estimated: Floats, T_true: Floats) -> Floats:
+    """(4, 4) the pose equivalent to the estimated one, by the target's symmetry, with the least vertex RMSE."""
+    candidates = []
+    for rotation in target.symmetry_rotations:
+        T = T_estimated.copy()
+        T[:3, :3] = T_estimated[:3, :3] @ rotation
+        candidates.append(T)
+    truth = _vertices(target, T_true)
+    return min(candidates, key=lambda T: float(((_vertices(target, T) - truth) ** 2).sum()))
+
+
+def quantisation_error(azimuth_step: float, distance: float) -> float:
+    """e_q: distance between adjacent points of a ring on a target at a distance, metres; the step in rad."""
+    return azimuth_step * distance
+
+
+@dataclass(frozen=True, eq=False)
+class NormalisedError:
+    """A pose error in the target's tangent space, against its covariance.
+
+    Attributes:
+        xi: (6,) Log(T_estimated^-1 T_true): rotation first, rad and metres, target frame.
+        sigma: (6,) standard deviations that the estimate claims.
+        nees: xi^T covariance^-1 xi: chi-square with 6 degrees of freedom, if the covariance is right.
+        vertex_nees: (n,) the same of each vertex, with 3 degrees of freedom.
+    """
+
+    xi: Floats
+    sigma: Floats
+    nees: float
+    vertex_nees: Floats
+
+    def __post_init__(self) -> None:
+        for field in ("xi", "sigma", "vertex_nees"):
+            object.__setattr__(self, field, frozen(getattr(self, field)))
+
+
+def normalised_error(target: Target, T_estimated: Floats, covariance: Floats, T_true: Floats) -> NormalisedError:
+    """Compare a pose error with the covariance claimed for it, modulo the target's symmetry.
+
+    Args:
+        target: the target.
+        T_estimated: (4, 4) T_lidar_target.
+        covariance: (6, 6) of its right perturbation, rotation first.
+        T_true: (4, 4) T_lidar_target.
+
+    A symmetry S turns the covariance with the pose: Ad(S^-1) C Ad(S^-1)^T is that of T S.
+    """
+    nearest = nearest_equivalent(target, T_estimated, T_true)
+    S = gtsam.Pose3(np.linalg.inv(T_estimated) @ nearest)
+    adjoint = S.inverse().AdjointMap()
+    covariance = adjoint @ covariance @ adjoint.T
+    xi = gtsam.Pose3.Logmap(gtsam.Pose3(np.linalg.inv(nearest) @ T_true))
+    # In the estimated target frame: the true vertex against the template's.
+    T_estimated_true = np.linalg.inv(nearest) @ T_true
+    offset = target.vertices @ T_estimated_true[:3, :3].T + T_estimated_true[:3, 3] - target.vertices
+    J = vertex_jacobian(target)
+    return NormalisedError(
+        xi=xi,
+        sigma=np.sqrt(np.diag(covariance)),
+        nees=float(xi @ np.linalg.solve(covariance, xi)),
+        vertex_nees=np.array([d @ np.linalg.solve(j @ covariance @ j.T, d) for d, j in zip(offset, J, strict=True)]),
+    )
+
+
+def vertex_jacobian(target: Target) -> Floats:
+    """(n, 3, 6) derivative of the vertices, target frame, by a right perturbation (omega, u): omega x v + u."""
+    return np.array([np.hstack([np.cross(np.eye(3), v).T, np.eye(3)]) for v in target.vertices])
+
+
+def _vertices(target: Target, T: Floats) -> Floats:
+    return np.asarray(target.vertices @ T[:3, :3].T + T[:3, 3])

@@ -1,0 +1,121 @@
+"""Program that reads a C3D or MAT file and writes its markers as arrays: `python -m ... FORMAT FILE FILE.npz`.
+
+It is a process of its own because the readers, ezc3d and scipy.io, are native code that damaged files crash or hang:
+6 of 60 damaged copies of a small C3D file (ezc3d 1.7.2), some of thousands of a MAT file (scipy 1.17.1). That must
+cost an error message, not the caller's process.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optshape_graph.errors import InputError, missing_extra
+
+SECONDS = 120
+"""Time that reading a file may take."""
+
+BYTES = 8 << 30
+"""Memory that reading a file may take."""
+
+ABSENT = 3
+"""Exit status where ezc3d cannot be imported."""
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def read_isolated(form: str, path: Path) -> Arrays:
+    """Return what a file has, as it has it: `positions` (F, M, 3) with NaN for gaps, `labels`, `rate` and `unit`.
+
+    Args:
+        form: "c3d", or "mat" as Qualisys Track Manager exports it.
+        path: the file.
+
+    Raises:
+        InputError: not readable.
+        MissingExtraError: ezc3d is needed and not installed.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        arrays = Path(folder) / "markers.npz"
+        # -P: a module lying in the current folder must not be taken for one of Python's.
+        command = [sys.executable, "-P", "-m", "optshape_graph.io._isolated", form, str(path.resolve()), str(arrays)]
+        environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+        try:
+            child = subprocess.run(
+                command, capture_output=True, text=True, timeout=SECONDS, check=False, env=environment
+            )
+        except subprocess.TimeoutExpired as error:
+            raise InputError(f"{path}: not a readable {form} file: reading it did not end in {SECONDS} s") from error
+        if child.returncode == ABSENT:
+            raise missing_extra("ezc3d", "mocap", ImportError(child.stderr.strip()))
+        if child.returncode:
+            said = child.stderr.strip().splitlines()[-1:] if child.returncode > 0 else []
+            reason = said[0] if said else f"its reader crashed (status {child.returncode})"
+            raise InputError(f"{path}: not a readable {form} file: {reason}")
+        with np.load(arrays, allow_pickle=False) as content:
+            return dict(content)
+
+
+def _read_c3d(path: str) -> Arrays:
+    import ezc3d
+
+    content = ezc3d.c3d(path)
+    point = content["parameters"]["POINT"]
+    points = np.asarray(content["data"]["points"], dtype=float)[:3].transpose(2, 1, 0)
+    residuals = np.asarray(content["data"]["meta_points"]["residuals"], dtype=float)[0].T
+    return {
+        "positions": np.where(residuals[:, :, None] < 0, np.nan, points),
+        "labels": np.array(
+            [str(label) for key in sorted(point) if key.startswith("LABELS") for label in point[key]["value"]]
+        ),
+        "unit": np.array(str(point["UNITS"]["value"][0])),
+        "rate": np.array(float(point["RATE"]["value"][0])),
+    }
+
+
+def _read_mat(path: str) -> Arrays:
+    from scipy.io import loadmat
+
+    content = loadmat(path, simplify_cells=True)
+    takes = [value for value in content.values() if isinstance(value, dict) and "Trajectories" in value]
+    if not takes:
+        raise ValueError("no structure with Trajectories in it")
+    labeled = takes[0]["Trajectories"]["Labeled"]
+    labels = [str(label) for label in np.atleast_1d(labeled["Labels"])]
+    data = np.asarray(labeled["Data"], dtype=float)
+    if data.ndim == 2:  # of one marker or one frame, MATLAB drops the dimension
+        data = data[None] if len(labels) == 1 else data[:, :, None]
+    if data.ndim != 3 or data.shape[1] < 3:
+        raise ValueError(f"data of shape {data.shape}, expected labels x 4 x frames")
+    return {
+        "positions": data[:, :3].transpose(2, 0, 1),
+        "labels": np.array(labels),
+        "unit": np.array("mm"),
+        "rate": np.array(float(takes[0]["FrameRate"])),
+    }
+
+
+def main(form: str, path: str, arrays: str) -> int:
+    """Read `path`, write `arrays`; return the exit status."""
+    resource.setrlimit(resource.RLIMIT_AS, (BYTES, BYTES))
+    readers: dict[str, Callable[[str], Arrays]] = {"c3d": _read_c3d, "mat": _read_mat}
+    try:
+        content = readers[form](path)
+    except ImportError as error:
+        print(error, file=sys.stderr)
+        return ABSENT
+    np.savez(arrays, **content)  # type: ignore[arg-type]  # the stubs take **kwds for allow_pickle
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

@@ -1,0 +1,32 @@
+"""What is shipped with the package and can be named instead of giving a file: targets and sensors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from optshape_graph.errors import InputError
+from optshape_graph.io.files import is_file
+
+_DATA = Path(__file__).resolve().parents[1] / "data"
+
+
+def builtin_names(kind: str) -> list[str]:
+    """The names of the built-in `kind` ("target" or "sensor"), in order."""
+    return sorted(path.stem for path in (_DATA / f"{kind}s").glob("*.yaml"))
+
+
+def find(kind: str, name: str, folder: Path | None = None) -> Path:
+    """Return the file of a built-in name or of a path, a relative path starting at `folder`.
+
+    A built-in name wins over a file of exactly that name: `./square` is the file, `square` the built-in.
+
+    Raises:
+        InputError: neither a built-in name nor a file.
+    """
+    names = builtin_names(kind)
+    if name in names:
+        return _DATA / f"{kind}s" / f"{name}.yaml"
+    path = Path(name) if folder is None else folder / name
+    if is_file(path):
+        return path
+    raise InputError(f"{path}: no such file, and the built-in {kind}s are: {', '.join(names)}")

@@ -1,0 +1,111 @@
+"""Bytes in and out: bounded reading, and writing that never leaves half a file under the final name."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+from pathlib import Path
+
+from optshape_graph.errors import InputError
+
+LARGEST_FILE = 2 << 30
+"""Bytes of a data file (2 GiB); far beyond any single scan."""
+
+_PIECE = 1 << 20
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is a file of that name, for any name whatever (too long, with a NUL, ...)."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def read_bytes(path: str | Path, largest: int = LARGEST_FILE) -> bytes:
+    """Return the whole content of a file.
+
+    Raises:
+        InputError: the file is missing, a folder, not readable, or larger than `largest` bytes.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: expected a file, found a folder")
+        with path.open("rb") as stream:  # in pieces: read(n) allocates n bytes at once, whatever the file's size
+            pieces, size = [], 0
+            while size <= largest and (piece := stream.read(_PIECE)):
+                pieces.append(piece)
+                size += len(piece)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise InputError(f"{path}: cannot be read ({_reason(error)})") from error
+    if size > largest:
+        raise InputError(f"{path}: larger than {largest} bytes, the most that is read of such a file")
+    return b"".join(pieces)
+
+
+def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
+    """Return the content of a UTF-8 text file, without its byte order mark.
+
+    Raises:
+        InputError: as `read_bytes`, or the file is not UTF-8 text.
+    """
+    data = read_bytes(path, largest)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: expected UTF-8 text, found byte 0x{data[error.start]:02x} at position {error.start}"
+        ) from error
+
+
+def write_atomically(path: str | Path, data: bytes | str) -> None:
+    """Write a file whole or not at all.
+
+    The data go to a temporary file in the same folder, reach the disk, and are then renamed: whoever opens `path`
+    sees the old content or the new one. A device or pipe (/dev/stdout) is written to as it is.
+
+    Raises:
+        InputError: the place cannot be written (no such folder, read-only, full disk, ...); nothing is left behind.
+    """
+    path = Path(path)
+    content = data.encode() if isinstance(data, str) else data
+    temporary: Path | None = None
+    try:
+        if path.exists() and not path.is_file() and not path.is_dir():
+            path.write_bytes(content)
+            return
+        final = path.resolve()  # a symbolic link stays one: its destination is replaced
+        temporary = final.with_name(f".{final.name[:200]}.{secrets.token_hex(4)}.tmp")
+        with temporary.open("xb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        if final.exists():
+            temporary.chmod(final.stat().st_mode & 0o7777)
+        temporary.replace(final)
+        temporary = None
+        _sync_folder(final.parent)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be written ({_reason(error)})") from error
+    finally:
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the rename itself durable, where the file system can."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror or str(error)) if isinstance(error, OSError) else str(error)

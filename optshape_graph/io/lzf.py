@@ -1,0 +1,52 @@
+"""Decompression of LibLZF's format, which PCD files of kind binary_compressed use.
+
+The format: a control byte below 32 is followed by that many literal bytes plus one; any other holds in its upper
+three bits the length of a copy, minus two (seven: one more byte is added), and in the lower five the high bits of the
+distance back, minus one, whose low byte follows. (The C library's Python wrappers allocate whatever size a file
+claims, and have no wheels for every platform.)
+"""
+
+from __future__ import annotations
+
+from optshape_graph.errors import InputError
+
+_LARGEST_COPY = 264
+"""Bytes that three compressed ones can make."""
+
+
+def lzf_decompress(data: bytes, size: int) -> bytes:
+    """Return the `size` bytes that `data` was made of.
+
+    Raises:
+        InputError: the data are damaged, or make another number of bytes.
+    """
+    if size > len(data) * _LARGEST_COPY // 3 + _LARGEST_COPY:
+        raise InputError(f"{len(data)} compressed bytes cannot make {size}")
+    out, i, n = bytearray(), 0, len(data)
+    try:
+        while i < n:
+            control = data[i]
+            i += 1
+            if control < 32:
+                out += data[i : i + control + 1]
+                i += control + 1
+                continue
+            length = (control >> 5) + 2
+            if length == 9:
+                length += data[i]
+                i += 1
+            distance = ((control & 31) << 8 | data[i]) + 1
+            i += 1
+            start = len(out) - distance
+            if start < 0:
+                raise InputError(f"damaged compressed data: a copy from {-start} bytes before the beginning")
+            if distance >= length:
+                out += out[start : start + length]
+            else:  # the copy reads what it writes: a repetition
+                pattern = bytes(out[start:])
+                out += (pattern * (length // distance + 1))[:length]
+    except IndexError as error:
+        raise InputError("damaged compressed data: it ends within an instruction") from error
+    if len(out) != size or i != n:
+        raise InputError(f"damaged compressed data: it makes {len(out)} bytes, expected {size}")
+    return bytes(out)

@@ -1,0 +1,151 @@
+"""ROS 1 bags, ROS 2 bags (sqlite3 and mcap) and bare storage files, read with rosbags; no ROS is needed."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Generator, Iterator
+from contextlib import closing, contextmanager
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from optshape_graph.errors import InputError, missing_extra
+from optshape_graph.io.recordings import messages
+from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
+from optshape_graph.io.recordings.topics import Topic
+from optshape_graph.sensor import SensorModel
+
+SUFFIXES = (".bag", ".mcap", ".db3")
+SURVEYED = 100
+"""Number of tf messages in which transforms are looked for."""
+
+
+def is_bag(path: Path) -> bool:
+    """Say whether a path looks like a bag: a storage file, or a folder with the metadata of a ROS 2 bag."""
+    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix in SUFFIXES
+
+
+class Bag:
+    """A bag on disk. Nothing stays open: every pass over messages opens the file and closes it.
+
+    Attributes:
+        path: file, or folder of a ROS 2 bag.
+        ros: 1 or 2: how messages are serialised.
+
+    Raises:
+        InputError: not a readable bag.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.ros = 1 if path.suffix == ".bag" and path.is_file() else 2
+        if path.is_dir():
+            _check_inside(path)
+        with self._open() as reader:
+            self._recorded = tuple(
+                Topic(name, messages.kind_of(info.msgtype or ""), info.msgtype or "of several types", info.msgcount)
+                for name, info in reader.topics.items()
+            )
+
+    @cached_property
+    def topics(self) -> tuple[Topic, ...]:
+        """Topics as recorded, and the moving transforms found at the beginning of the tf topics."""
+        transforms = [
+            Topic(f"{topic.name}:{parent}:{child}", "pose", topic.type, None)
+            for topic in self._recorded
+            if topic.type in messages.TRANSFORMS and not topic.name.endswith("tf_static")
+            for parent, child in self._transforms(topic)
+        ]
+        return self._recorded + tuple(transforms)
+
+    def read(self, topic: Topic, skipped: Skipped, sensor: SensorModel | None = None) -> Iterator[Stamped[Any]]:
+        """Yield what a topic holds in order of recording: `Scan`, `Image`, `CameraIntrinsics` or a (4, 4) pose."""
+        name = topic.name.rsplit(":", 2)[0] if topic.type in messages.TRANSFORMS else topic.name
+        for number, data in enumerate(self._raw(name, skipped)):
+            where = f"{self.path} {name} message {number}"
+            try:
+                values = self._decode(topic, data, where, sensor)
+            except BadMessage as problem:
+                skipped.add(problem, where)
+                continue
+            yield from values
+
+    def _decode(self, topic: Topic, data: bytes, where: str, sensor: SensorModel | None) -> list[Stamped[Any]]:
+        if topic.kind == "scan":
+            return [messages.decode_scan(self.ros, topic.type, data, where, sensor)]
+        if topic.kind == "image":
+            return [messages.decode_image(self.ros, topic.type, data)]
+        if topic.kind == "camera":
+            return [messages.decode_camera(self.ros, topic.type, data)]
+        if topic.type in messages.TRANSFORMS:
+            _, parent, child = topic.name.rsplit(":", 2)
+            return list(messages.decode_transform(self.ros, topic.type, data, parent, child))
+        return [messages.decode_pose(self.ros, topic.type, data)]
+
+    def _transforms(self, topic: Topic) -> list[tuple[str, str]]:
+        found: dict[tuple[str, str], None] = {}
+        with closing(self._raw(topic.name, Skipped())) as raw:
+            for data in itertools.islice(raw, SURVEYED):
+                try:
+                    message = messages.read_message(self.ros, topic.type, data)
+                except BadMessage:
+                    continue
+                found.update((messages.frames_of(transform), None) for transform in message.transforms)
+        return list(found)
+
+    def _raw(self, name: str, skipped: Skipped) -> Generator[bytes, None, None]:
+        """Yield the serialised messages of a topic in order of recording.
+
+        Where the file is damaged reading ends, and the messages that its index promises beyond are counted.
+        """
+        with self._open() as reader:
+            connections = [connection for connection in reader.connections if connection.topic == name]
+            for connection in connections:
+                if connection.msgdef.format.name == "MSG" and connection.msgdef.data:
+                    where = f"{self.path} {name}"
+                    messages.check_definition(self.ros, connection.msgtype, connection.msgdef.data, where)
+            promised = sum(connection.msgcount for connection in connections)
+            raw = reader.messages(connections)
+            for number in itertools.count():
+                try:
+                    _, _, data = next(raw)
+                except StopIteration:
+                    return
+                except Exception as error:  # a storage reader on damaged bytes: not a closed set
+                    problem = BadMessage("recording damaged from there on", f"{type(error).__name__}: {error}")
+                    skipped.add(problem, f"{self.path} {name} message {number}", max(promised - number, 1))
+                    return
+                yield data
+
+    @contextmanager
+    def _open(self) -> Iterator[Any]:
+        try:
+            from rosbags.rosbag1 import Reader as Reader1
+            from rosbags.rosbag2 import Reader as Reader2
+        except ImportError as cause:
+            raise missing_extra("rosbags", "ros", cause) from cause
+        try:
+            reader: Any = Reader1(self.path) if self.ros == 1 else Reader2(self.path)
+            reader.open()
+        except (PermissionError, FileNotFoundError):
+            raise
+        except Exception as error:  # a storage reader on damaged bytes: not a closed set
+            raise InputError(
+                f"{self.path}: not a readable bag: {error or type(error).__name__}"
+                " (a recording that was cut off needs `rosbag reindex`, `ros2 bag reindex` or `mcap recover`)"
+            ) from error
+        try:
+            yield reader
+        finally:
+            reader.close()
+
+
+def _check_inside(folder: Path) -> None:
+    """Check that no file of a bag's folder is a link to elsewhere: bags are copied around, links with them.
+
+    Raises:
+        InputError: one is.
+    """
+    for path in folder.iterdir():
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{path}: leads out of the bag's folder, to {path.resolve()}; give that path instead")

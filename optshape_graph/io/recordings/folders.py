@@ -1,0 +1,157 @@
+"""Recordings as folders: clouds or images with a file of timestamps, and trajectories.
+
+A folder is a topic of clouds or of images if it has a file of timestamps; the files may be in its subfolder
+`data`, as in KITTI. A recording is such a folder, or a folder of such folders. TUM trajectories (`*.tum`) in it
+are its topics of poses. Nothing outside the folder is read, whatever a timestamps file or a link says.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from optshape_graph.errors import InputError
+from optshape_graph.io.clouds import read_scan
+from optshape_graph.io.files import read_bytes, read_text
+from optshape_graph.io.recordings.epochs import ticks_per_second
+from optshape_graph.io.recordings.images import CompressedImage
+from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
+from optshape_graph.io.recordings.topics import Kind, Topic
+from optshape_graph.io.trajectories import read_tum
+from optshape_graph.sensor import SensorModel
+
+STAMP_FILES = ("timestamps.txt", "timestamps.csv", "times.txt", "times.csv")
+CLOUD_SUFFIXES = (".pcd", ".ply", ".npz", ".csv")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+class Folder:
+    """A recording that is a folder.
+
+    Attributes:
+        path: the folder.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @cached_property
+    def topics(self) -> tuple[Topic, ...]:
+        """Folders with timestamps, and trajectories."""
+        topics = [self._files(folder) for folder in (self.path, *sorted(self.path.iterdir())) if folder.is_dir()]
+        tum = [Topic(file.name, "pose", ".tum", len(read_tum(file))) for file in sorted(self.path.glob("*.tum"))]
+        return (*(topic for topic in topics if topic is not None), *tum)
+
+    def _files(self, folder: Path) -> Topic | None:
+        if _stamp_file(folder) is None:
+            return None
+        suffixes = [file.suffix.lower() for file in _data(folder)]
+        counted: dict[Kind, int] = {
+            "scan": sum(suffix in CLOUD_SUFFIXES for suffix in suffixes),
+            "image": sum(suffix in IMAGE_SUFFIXES for suffix in suffixes),
+        }
+        kind = max(counted, key=lambda kind: counted[kind])
+        name = "." if folder == self.path else folder.name
+        common = max(set(suffixes), key=suffixes.count, default="")
+        return Topic(name, kind, common, counted[kind]) if counted[kind] else None
+
+    def read(self, topic: Topic, skipped: Skipped, sensor: SensorModel | None = None) -> Iterator[Stamped[Any]]:
+        """Yield what a topic holds in the order of its timestamps file: `Scan`, `Image` or a (4, 4) pose."""
+        if topic.kind == "pose":
+            trajectory = read_tum(self._inside(self.path / topic.name))
+            assert trajectory.stamps is not None  # TUM has them
+            yield from map(Stamped, trajectory.stamps.tolist(), trajectory.poses)
+            return
+        for stamp, file in self._stamped_files(topic):
+            inside = self._inside(file)
+            try:
+                value = self._read(inside, topic.kind, sensor)
+            except InputError as error:
+                problem = "unreadable file" if inside.is_file() else "file missing"
+                skipped.add(BadMessage(problem, str(error)), str(file))
+                continue
+            yield Stamped(stamp, value)
+
+    @staticmethod
+    def _read(file: Path, kind: Kind, sensor: SensorModel | None) -> Any:
+        if kind == "scan":
+            return read_scan(file, sensor)
+        suffix = ".png" if file.suffix.lower() == ".png" else ".jpg"
+        return CompressedImage(read_bytes(file), suffix)
+
+    def _stamped_files(self, topic: Topic) -> list[tuple[float, Path]]:
+        folder = self.path / topic.name
+        stamp_file = _stamp_file(folder)
+        assert stamp_file is not None  # it is what made the folder a topic
+        suffixes = CLOUD_SUFFIXES if topic.kind == "scan" else IMAGE_SUFFIXES
+        files = [file for file in _data(folder) if file.suffix.lower() in suffixes]
+        lines = _lines(stamp_file)
+        if any(len(words) > 1 for _, words in lines):
+            where = files[0].parent
+            return [_named(words, where, f"{stamp_file}:{number}") for number, words in lines]
+        if len(lines) != len(files):
+            raise InputError(f"{stamp_file}: {len(lines)} stamps for {len(files)} files in {files[0].parent}")
+        return [(_stamp(words[0], f"{stamp_file}:{n}"), file) for (n, words), file in zip(lines, files, strict=True)]
+
+    def _inside(self, file: Path) -> Path:
+        if not file.resolve().is_relative_to(self.path.resolve()):
+            raise InputError(f"{file}: leads out of the recording's folder {self.path}, to {file.resolve()}")
+        return file
+
+
+def _stamp_file(folder: Path) -> Path | None:
+    return next((folder / name for name in STAMP_FILES if (folder / name).is_file()), None)
+
+
+def _data(folder: Path) -> list[Path]:
+    """Files that timestamps belong to, by name."""
+    data = folder / "data" if (folder / "data").is_dir() else folder
+    return sorted(file for file in data.iterdir() if file.is_file() and file.name not in STAMP_FILES)
+
+
+def _lines(file: Path) -> list[tuple[int, list[str]]]:
+    """Return the number and the words of every line that is not empty or a comment; a header is a comment."""
+    lines: list[tuple[int, list[str]]] = []
+    for number, line in enumerate(read_text(file).splitlines(), 1):
+        words = re.sub(r"(\d{4}-\d\d-\d\d) (?=\d)", r"\1T", line).replace(",", " ").split()
+        header = not lines and not any(character.isdigit() for character in line)
+        if words and not line.startswith("#") and not header:
+            lines.append((number, words))
+    return lines
+
+
+def _named(words: list[str], folder: Path, where: str) -> tuple[float, Path]:
+    """Return stamp and file of a line that has both, in either order."""
+    if len(words) != 2:
+        raise InputError(f"{where}: expected a stamp and a file name, found {' '.join(words)!r}")
+    stamp, name = words if _is_stamp(words[0]) else reversed(words)
+    return _stamp(stamp, where), folder / name
+
+
+def _stamp(word: str, where: str) -> float:
+    """Return a stamp in seconds: of seconds, of an epoch in ms, us or ns, or of a date (UTC unless it says)."""
+    if _is_date(word):
+        date = datetime.fromisoformat(word)
+        return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+    if not _is_stamp(word):
+        raise InputError(f"{where}: expected a stamp, found '{word}'")
+    return float(word) / ticks_per_second(float(word))
+
+
+def _is_stamp(word: str) -> bool:
+    try:
+        return abs(float(word)) < 1e20
+    except ValueError:
+        return _is_date(word)
+
+
+def _is_date(word: str) -> bool:
+    try:
+        datetime.fromisoformat(word)
+    except ValueError:
+        return False
+    return "-" in word

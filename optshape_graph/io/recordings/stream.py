@@ -1,0 +1,136 @@
+"""Streams of stamped values: what cannot be used is skipped with a reason and counted, nothing else is lost."""
+
+from __future__ import annotations
+
+import logging
+from bisect import bisect_left
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+T = TypeVar("T")
+
+LOOKAHEAD = 8
+"""Number of following stamps that decide whether a stamp is in order."""
+
+log = logging.getLogger(__name__)
+
+
+class BadMessage(Exception):  # noqa: N818 - it is caught where it is counted, and never leaves this package
+    """A message that cannot be used.
+
+    Attributes:
+        reason: a few words without numbers: what is counted.
+        detail: what was found in this message, for the log.
+    """
+
+    def __init__(self, reason: str, detail: str = "") -> None:
+        super().__init__(f"{reason}: {detail}" if detail else reason)
+        self.reason = reason
+        self.detail = detail
+
+
+@dataclass(frozen=True)
+class Stamped(Generic[T]):
+    """A value and when it was measured.
+
+    Attributes:
+        stamp: seconds, of the clock that stamped the message's header.
+        value: what was measured.
+    """
+
+    stamp: float
+    value: T
+
+
+class Skipped(Counter[str]):
+    """Number of skipped messages by reason.
+
+    Attributes:
+        examples: what was found in the first message of each reason.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.examples: dict[str, str] = {}
+
+    def add(self, problem: BadMessage, where: str, count: int = 1) -> None:
+        """Count a message that was skipped, and log it."""
+        log.info("%s: skipped: %s", where, problem)
+        self[problem.reason] += count
+        self.examples.setdefault(problem.reason, problem.detail)
+
+    def __str__(self) -> str:
+        """Return all reasons in one line, with the first example of each."""
+        said = (f"{count} x {reason} ({self.examples.get(reason, '')})" for reason, count in self.items())
+        return ", ".join(said) or "nothing skipped"
+
+
+class Stream(Generic[T]):
+    """Stamped values in order of time, read one by one while it is iterated.
+
+    Every iteration starts over and holds its own file handle, so several streams of one recording can be
+    read side by side. Stamps increase strictly.
+
+    Attributes:
+        name: the file and topic, for messages.
+        expected: number of messages that the recording says there are, or None.
+        skipped: number of messages skipped by reason, of the latest iteration.
+    """
+
+    def __init__(self, name: str, read: Callable[[Skipped], Iterator[Stamped[T]]], expected: int | None = None) -> None:
+        self.name = name
+        self.expected = expected
+        self.skipped = Skipped()
+        self._read = read
+
+    def __iter__(self) -> Iterator[Stamped[T]]:
+        self.skipped = Skipped()
+        return in_order(self._read(self.skipped), self.skipped, self.name)
+
+
+def in_order(items: Iterable[Stamped[T]], skipped: Skipped, where: str) -> Iterator[Stamped[T]]:
+    """Yield the items whose stamps increase strictly, leaving out as few as possible.
+
+    A message with a wrong stamp must cost itself only: one stamped in the far future must not make all that
+    follow look late. So a message is kept if the longest increasing run of stamps among it and the next
+    `LOOKAHEAD` is no shorter with it than without it.
+    """
+    last = float("-inf")
+    window: deque[Stamped[T]] = deque()
+
+    def settle() -> Iterator[Stamped[T]]:
+        nonlocal last
+        item = window.popleft()
+        if item.stamp == last:
+            skipped.add(BadMessage("stamp duplicated", f"{item.stamp:.9f} s"), where)
+        elif item.stamp < last:
+            skipped.add(BadMessage("stamp goes backward", f"{item.stamp:.9f} s after {last:.9f} s"), where)
+        elif _ahead_of_the_rest(item.stamp, [later.stamp for later in window], last):
+            skipped.add(BadMessage("stamp ahead of those that follow", f"{item.stamp:.9f} s"), where)
+        else:
+            last = item.stamp
+            yield item
+
+    for item in items:
+        window.append(item)
+        if len(window) > LOOKAHEAD:
+            yield from settle()
+    while window:
+        yield from settle()
+
+
+def _ahead_of_the_rest(stamp: float, following: list[float], last: float) -> bool:
+    """Say whether keeping `stamp` costs more of the following stamps than it is worth."""
+    kept = 1 + _longest_increasing(later for later in following if later > stamp)
+    return kept < _longest_increasing(later for later in following if later > last)
+
+
+def _longest_increasing(stamps: Iterable[float]) -> int:
+    """Length of the longest strictly increasing subsequence (patience sorting)."""
+    smallest_end: list[float] = []
+    for stamp in stamps:
+        k = bisect_left(smallest_end, stamp)
+        smallest_end[k : k + 1] = [stamp]
+    return len(smallest_end)

@@ -1,0 +1,241 @@
+"""Session files: `schema: optshape/session/1`. Which scans, images and marker frames belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from optshape_graph.camera import CameraIntrinsics
+from optshape_graph.errors import InputError
+from optshape_graph.io.cameras import load_camera
+from optshape_graph.io.documents import Node, read_document
+from optshape_graph.io.markers import UNITS, Markers, read_markers
+from optshape_graph.io.sensors import load_sensor
+from optshape_graph.io.targets import load_target
+from optshape_graph.sensor import SensorModel
+from optshape_graph.target import Target
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class View:
+    """One scan of a session, and what was recorded with it.
+
+    Attributes:
+        scan: the cloud's file.
+        lidar: which of the session's LiDARs made it.
+        targets: which of the session's targets may be in it.
+        camera: which of the session's cameras made `image`, or None.
+        image: the image's file, or None.
+        target_points: a file with the target's returns, cropped by hand, or None.
+        stamp: seconds, on the session's clock, or None.
+        mocap_frame: the frame of the markers, or None.
+        corners: a CSV file with rough pixels of the vertices of an unpatterned target in `image`, or None.
+    """
+
+    scan: Path
+    lidar: str
+    targets: tuple[str, ...]
+    camera: str | None = None
+    image: Path | None = None
+    target_points: Path | None = None
+    stamp: float | None = None
+    mocap_frame: int | None = None
+    corners: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Mocap:
+    """Motion capture of a session.
+
+    Attributes:
+        markers: positions by frame and marker.
+        vertices: of a marker, its target and the index of the vertex that it is near. Filled from the session's map;
+            or, without a map, where the session has one target and its markers are called corner0, corner1, ...; else
+            empty: markers are to be assigned by shape.
+    """
+
+    markers: Markers
+    vertices: Mapping[str, tuple[str, int]]
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A session, of either form of file.
+
+    In the short form the one LiDAR, camera and target go by their own names.
+
+    Attributes:
+        name: what results call it.
+        path: its file.
+        lidars: sensors by name.
+        cameras: intrinsics by name.
+        targets: targets by name.
+        views: in the file's order.
+        mocap: motion capture, if there is any.
+    """
+
+    name: str
+    path: Path
+    lidars: Mapping[str, SensorModel]
+    cameras: Mapping[str, CameraIntrinsics]
+    targets: Mapping[str, Target]
+    views: tuple[View, ...]
+    mocap: Mocap | None = None
+
+
+def load_session(path: str | Path) -> Session:
+    """Read a session and what it names: sensors, targets, intrinsics, markers. Scans and images stay files.
+
+    Paths start at the session's folder. The short form has `sensor`, `target`, `camera`; the general form `lidars`,
+    `targets`, `cameras`, and each view says which it means (what there is only one of may be left out; without
+    `targets`, any may be in view).
+
+    Raises:
+        InputError: not readable; a missing, unknown or wrong key; a file that is missing or wrong; a LiDAR, camera,
+            target, vertex, marker or marker frame that is not there. The message names file, line and key.
+    """
+    path = Path(path)
+    root = read_document(path, "session")
+    fields = root.fields(
+        ["schema"],
+        ["name", "sensor", "lidars", "target", "targets", "camera", "cameras", "views", "scans", "mocap"],
+    )
+    lidars = _named(root, fields, "sensor", "lidars", _sensor, lambda sensor: sensor.name)
+    targets = _named(root, fields, "target", "targets", _target, lambda target: target.name)
+    cameras = _named(root, fields, "camera", "cameras", _camera, lambda camera: camera.name)
+    for kind, found, keys in (("LiDAR", lidars, "sensor or lidars"), ("target", targets, "target or targets")):
+        if not found:
+            root.fail(f"the session names no {kind}; expected the key {keys}")
+    mocap = _mocap(fields["mocap"], targets) if "mocap" in fields else None
+    if ("views" in fields) == ("scans" in fields):
+        root.fail("expected the key 'views' or the key 'scans', one of them")
+    listed, scan_key = (fields["views"], "scan") if "views" in fields else (fields["scans"], "file")
+    views = tuple(_view(node, scan_key, lidars, targets, cameras, mocap) for node in listed.items())
+    if not views:
+        listed.expected("at least one scan")
+    name = fields["name"].text() if "name" in fields else path.stem
+    return Session(name, path, lidars, cameras, targets, views, mocap)
+
+
+def _named(
+    root: Node, fields: Mapping[str, Node], one: str, several: str, read: Callable[[Node], T], name: Callable[[T], str]
+) -> dict[str, T]:
+    """What the short key or the mapping of the general form names; empty where there is neither."""
+    if one in fields and several in fields:
+        fields[one].fail(f"expected '{one}' or '{several}', found both")
+    if one in fields:
+        item = read(fields[one])
+        return {name(item): item}
+    return {key: read(node) for key, node in fields[several].entries().items()} if several in fields else {}
+
+
+def _loaded(node: Node, load: Callable[[str, Path], T]) -> T:
+    """What a name or path leads to, its errors with the line that gave the path."""
+    try:
+        return load(node.text(), node.path.parent)
+    except InputError as error:
+        node.fail(str(error))
+
+
+def _sensor(node: Node) -> SensorModel:
+    if isinstance(node.value, dict):  # of the general form
+        node = node.fields(["sensor"])["sensor"]
+    return _loaded(node, load_sensor)
+
+
+def _target(node: Node) -> Target:
+    return _loaded(node, load_target)
+
+
+def _camera(node: Node) -> CameraIntrinsics:
+    name = node.key[-1]
+    return _loaded(node, lambda text, folder: load_camera(folder / text, str(name)))
+
+
+def _view(
+    node: Node,
+    scan_key: str,
+    lidars: Mapping[str, SensorModel],
+    targets: Mapping[str, Target],
+    cameras: Mapping[str, CameraIntrinsics],
+    mocap: Mocap | None,
+) -> View:
+    fields = node.fields([scan_key], ["lidar", "camera", "image", "targets", "target_points", "stamp", "mocap_frame", "corners"])
+    if "lidar" not in fields and len(lidars) > 1:
+        node.fail(f"the key 'lidar' is missing; the session has several: {', '.join(lidars)}")
+    lidar = _reference(fields["lidar"], lidars, "LiDAR") if "lidar" in fields else next(iter(lidars))
+    if "image" in fields and not cameras:
+        fields["image"].fail("an image, but the session names no camera")
+    if "image" in fields and "camera" not in fields and len(cameras) > 1:
+        node.fail(f"the key 'camera' is missing; the session has several: {', '.join(cameras)}")
+    if "camera" in fields and "image" not in fields:
+        fields["camera"].fail("a camera, but the key 'image' is missing")
+    camera = _reference(fields["camera"], cameras, "camera") if "camera" in fields else next(iter(cameras), None)
+    seen = (
+        tuple(_reference(item, targets, "target") for item in fields["targets"].items())
+        if "targets" in fields
+        else tuple(targets)
+    )
+    return View(
+        scan=fields[scan_key].file(),
+        lidar=lidar,
+        targets=seen,
+        camera=camera if "image" in fields else None,
+        image=fields["image"].file() if "image" in fields else None,
+        target_points=fields["target_points"].file() if "target_points" in fields else None,
+        stamp=fields["stamp"].number() if "stamp" in fields else None,
+        mocap_frame=_frame(fields["mocap_frame"], mocap) if "mocap_frame" in fields else None,
+        corners=fields["corners"].file() if "corners" in fields else None,
+    )
+
+
+def _frame(node: Node, mocap: Mocap | None) -> int:
+    frame = node.integer()
+    if mocap is None:
+        node.fail("a marker frame, but the session has no motion capture ('mocap')")
+    frames = mocap.markers.frames
+    if frame not in frames:
+        node.fail(f"no marker frame {frame}; the file has {len(frames)} frames, {min(frames)} to {max(frames)}")
+    return frame
+
+
+def _mocap(node: Node, targets: Mapping[str, Target]) -> Mocap:
+    fields = node.fields(["file", "units"], ["markers"])
+    units = fields["units"].choice(list(UNITS))
+    markers = read_markers(fields["file"].file(), units)
+    if "markers" not in fields:
+        return Mocap(markers, _corners(markers, targets))
+    vertices: dict[str, tuple[str, int]] = {}
+    for marker, place in fields["markers"].entries().items():
+        if marker not in markers.names:
+            place.fail(f"no marker '{marker}'; the file has: {', '.join(markers.names)}")
+        parts = place.items()
+        if len(parts) != 2:
+            place.expected("a target and the index of its vertex, as [A, 0]")
+        target, vertex = _reference(parts[0], targets, "target"), parts[1].integer()
+        if vertex >= len(targets[target]):
+            parts[1].expected(f"a vertex of '{target}', 0 to {len(targets[target]) - 1}")
+        if (target, vertex) in vertices.values():
+            place.fail(f"a second marker at vertex {vertex} of '{target}'")
+        vertices[marker] = (target, vertex)
+    return Mocap(markers, vertices)
+
+
+def _corners(markers: Markers, targets: Mapping[str, Target]) -> dict[str, tuple[str, int]]:
+    """Markers called corner0, corner1, ... of the one target; empty if any has another name."""
+    if len(targets) != 1:
+        return {}
+    ((name, target),) = targets.items()
+    corners = {f"corner{k}": (name, k) for k in range(len(target))}
+    return {marker: corners[marker] for marker in markers.names} if set(markers.names) <= corners.keys() else {}
+
+
+def _reference(node: Node, known: Iterable[str], kind: str) -> str:
+    name = node.text()
+    if name not in known:
+        node.fail(f"no {kind} '{name}'; the session has: {', '.join(known) or 'none'}")
+    return name

@@ -1,0 +1,184 @@
+"""What makes a simulated return differ from the geometry: noise, bias, quantisation, lost and partial hits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import brentq
+
+from optshape_graph._arrays import Bools, Floats
+from optshape_graph.errors import InputError
+from optshape_graph.sensor import SensorModel
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """How measurements err, in the sensor's spherical coordinates.
+
+    A ray is fired at its nominal azimuth and elevation and meets the scene there; range, azimuth and elevation are
+    then measured with independent normal errors and the point is reported at the measured values. (That is how the
+    paper's simulator states its levels. An encoder that errs fires elsewhere than it reports: to first order on a
+    plane it gives the same points.)
+
+    Attributes:
+        range_noise: standard deviation of one range, metres.
+        azimuth_noise: standard deviation of one azimuth, rad.
+        elevation_noise: standard deviation of one elevation, rad.
+        ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
+        range_resolution: step to which ranges are rounded, metres; 0: not rounded.
+        dropout: probability that a return at normal incidence is lost. At incidence i it is dropout**cos(i), so
+            that nothing returns from a surface seen along itself.
+        hit_fraction: a beam returns from a target if at least this fraction of its footprint lies on it. 0.5: its
+            axis decides. The fraction is that of a half plane, so right up to a footprint's width from a vertex.
+        edge_spread: how far from there the decision falls at an edge, in beam radii: half the width of a uniform
+            distribution, drawn once for a scan and again for every ray. What is behind the target, its reflectance
+            and the threshold decide in fact, and none of them is modelled.
+        random_phase: whether the azimuth grid is shifted by a random part of a step in every revolution, as in
+            sensors that do not lock their phase.
+
+    Raises:
+        InputError: a standard deviation, resolution or probability out of range.
+    """
+
+    range_noise: float = 0.0
+    azimuth_noise: float = 0.0
+    elevation_noise: float = 0.0
+    ring_bias: float = 0.0
+    range_resolution: float = 0.0
+    dropout: float = 0.0
+    hit_fraction: float = 0.5
+    edge_spread: float = 0.0
+    random_phase: bool = False
+
+    def __post_init__(self) -> None:
+        for field in (
+            "range_noise",
+            "azimuth_noise",
+            "elevation_noise",
+            "ring_bias",
+            "range_resolution",
+            "edge_spread",
+        ):
+            value = getattr(self, field)
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"noise: {field} {value} is not a number >= 0")
+        if not 0 <= self.dropout < 1:
+            raise InputError(f"noise: dropout {self.dropout} is not a probability below 1")
+        if not 0 < self.hit_fraction < 1:
+            raise InputError(f"noise: hit fraction {self.hit_fraction} is not within (0, 1)")
+
+    @classmethod
+    def of(cls, sensor: SensorModel) -> NoiseModel:
+        """Return what the sensor's own model says: its range noise, ring bias and resolution.
+
+        The azimuth phase is free, and a partial hit may or may not return, wherever in the beam the edge lies.
+        """
+        return cls(
+            range_noise=sensor.range_noise,
+            ring_bias=sensor.ring_bias,
+            range_resolution=sensor.range_resolution,
+            edge_spread=1.0,
+            random_phase=True,
+        )
+
+    @classmethod
+    def level(cls, level: int, range_only: bool = False) -> NoiseModel:
+        """Return one of the paper's noise levels 0 to 4.
+
+        Args:
+            level: 0 (none) to 4, as the paper's released settings define them; its charts show 0, 1 and 3.
+            range_only: leave out the angular part, as the paper's stored results seem to do.
+        """
+        if level not in LEVELS:
+            raise InputError(f"noise level {level} is not one of {', '.join(map(str, LEVELS))}")
+        range_noise, azimuth_deg, elevation_deg = LEVELS[level]
+        angular = 0.0 if range_only else 1.0
+        return cls(
+            range_noise=range_noise,
+            azimuth_noise=angular * np.radians(azimuth_deg),
+            elevation_noise=angular * np.radians(elevation_deg),
+        )
+
+    def jittered(self) -> NoiseModel:
+        """Return the same noise with a free azimuth phase."""
+        return replace(self, random_phase=True)
+
+    @cached_property
+    def edge_shift(self) -> float:
+        """How far beyond an edge a beam's axis may pass and still return, in beam radii: within (-1, 1).
+
+        A half plane whose border is x radii from the centre of a disc covers (arccos x - x sqrt(1 - x^2)) / pi of it.
+        """
+        if self.hit_fraction == 0.5:
+            return 0.0
+
+        def excess(x: float) -> float:
+            return float((np.arccos(x) - x * np.sqrt(1 - x * x)) / np.pi - self.hit_fraction)
+
+        return float(brentq(excess, -1.0, 1.0, xtol=1e-12))
+
+    def draw_range_bias(self, n_rings: int, rng: np.random.Generator) -> Floats:
+        """(n_rings,) range bias of each ring, metres: draw once for a sensor, or once for a scan."""
+        return rng.normal(0.0, self.ring_bias, n_rings) if self.ring_bias > 0 else np.zeros(n_rings)
+
+    def draw_phase(self, step: float, rng: np.random.Generator) -> float:
+        """Azimuth by which a revolution's grid is shifted, rad: 0 unless the phase is free."""
+        return float(rng.uniform(0.0, step)) if self.random_phase else 0.0
+
+    def draw_edge_margin(self, divergence: float, n_rays: int, rng: np.random.Generator) -> Floats:
+        """Angle, rad, by which each beam's axis may pass outside an edge and still return: (n_rays,), or (1,) for all.
+
+        Args:
+            divergence: full angle of the beam, rad.
+            n_rays: number of rays.
+            rng: source of randomness.
+        """
+        radius = 0.5 * divergence
+        if self.edge_spread == 0 or radius == 0:
+            return np.array([radius * self.edge_shift])
+        spread = self.edge_spread
+        return radius * (self.edge_shift + rng.uniform(-spread, spread) + rng.uniform(-spread, spread, n_rays))
+
+    def draw_survivors(self, cos_incidence: Floats, rng: np.random.Generator) -> Bools:
+        """(N,) whether a return at each (N,) cosine of incidence is detected."""
+        if self.dropout == 0.0:
+            return np.ones(len(cos_incidence), dtype=bool)
+        return np.asarray(rng.uniform(size=len(cos_incidence)) >= self.dropout**cos_incidence)
+
+    def measure(
+        self, ranges: Floats, azimuth: Floats, elevation: Floats, bias: Floats, rng: np.random.Generator
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return measured (N,) ranges, azimuths and elevations of (N,) true ones.
+
+        Args:
+            ranges: (N,) metres.
+            azimuth: (N,) rad.
+            elevation: (N,) rad.
+            bias: (N,) range bias of each return's ring, metres.
+            rng: source of randomness.
+        """
+        ranges = ranges + bias
+        if self.range_noise > 0:
+            ranges = ranges + rng.normal(0.0, self.range_noise, len(ranges))
+        if self.range_resolution > 0:
+            ranges = np.round(ranges / self.range_resolution) * self.range_resolution
+        if self.azimuth_noise > 0:
+            azimuth = azimuth + rng.normal(0.0, self.azimuth_noise, len(ranges))
+        if self.elevation_noise > 0:
+            elevation = elevation + rng.normal(0.0, self.elevation_noise, len(ranges))
+        return ranges, azimuth, elevation
+
+
+LEVELS: dict[int, tuple[float, float, float]] = {
+    0: (0.0, 0.0, 0.0),
+    1: (0.01, 0.1, 0.1),
+    2: (0.03, 0.2, 0.2),
+    3: (0.03, 0.3, 0.3),
+    4: (0.05, 0.5, 0.5),
+}
+"""Noise levels of the paper's released settings: standard deviations of range (m), azimuth and elevation (deg)."""
+
+IDEAL = NoiseModel()
+"""The geometry alone."""

@@ -1,0 +1,223 @@
+"""Scenes, and the scans that a LiDAR takes of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph.errors import InputError
+from optshape_graph.scan import Scan
+from optshape_graph.sensor import SensorModel
+from optshape_graph.simulation.motion import Motion
+from optshape_graph.simulation.noise import IDEAL, NoiseModel
+from optshape_graph.simulation.rays import Revolution, unit_vectors
+from optshape_graph.simulation.surfaces import Patch, Surface, widened
+from optshape_graph.target import Target
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Targets, and everything else that returns light.
+
+    Attributes:
+        targets: the targets.
+        background: floor, walls, stands, occluders, meshes.
+    """
+
+    targets: tuple[Patch, ...] = ()
+    background: tuple[Surface, ...] = ()
+
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """Targets first, then the background."""
+        return (*self.targets, *self.background)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedScan:
+    """A scan with its truth.
+
+    Attributes:
+        scan: the returns.
+        surface: (N,) index in `scene.surfaces` of what each return is of.
+        scene: what was scanned.
+        T_world_lidar: (4, 4) the sensor's pose at the scan's stamp (time 0).
+    """
+
+    scan: Scan
+    surface: Ints
+    scene: Scene
+    T_world_lidar: Floats
+
+    @cached_property
+    def T_lidar_targets(self) -> tuple[Floats, ...]:
+        """(4, 4) true pose of each target in the LiDAR frame at the scan's stamp."""
+        T_lidar_world = np.linalg.inv(self.T_world_lidar)
+        return tuple(frozen(T_lidar_world @ patch.T_world_patch) for patch in self.scene.targets)
+
+    def target_returns(self, k: int = 0) -> Scan:
+        """Return the returns of target k."""
+        return self.scan.select(self.surface == k)
+
+    def without_rings(self, rings: ArrayLike) -> SimulatedScan:
+        """Return it without the returns of some rings: partial illumination."""
+        keep = ~np.isin(_rings(self.scan), rings)
+        return replace(self, scan=self.scan.select(keep), surface=frozen(self.surface[keep], np.int64))
+
+
+def simulate(
+    scene: Scene,
+    sensor: SensorModel,
+    T_world_lidar: Floats | Motion | None = None,
+    *,
+    noise: NoiseModel = IDEAL,
+    rng: np.random.Generator | int = 0,
+    range_bias: Floats | None = None,
+    spin_rate: float = 10.0,
+    name: str = "simulated",
+) -> SimulatedScan:
+    """Return one revolution.
+
+    Args:
+        scene: what there is to hit; the nearest surface returns.
+        sensor: the sensor; its azimuth step and range limits apply.
+        T_world_lidar: (4, 4) pose of a sensor at rest (None: the world's origin), or the motion of a moving one: each
+            ray is fired from the pose at its own time, and its point is in the LiDAR frame of that time.
+        noise: how measurements err; none by default.
+        rng: generator or seed.
+        range_bias: (R,) range bias of each ring, metres; None: drawn from the noise.
+        spin_rate: revolutions per second; sets the times.
+        name: the scan's name.
+
+    Raises:
+        InputError: the sensor has no azimuth step, or range biases of another number of rings.
+    """
+    rng = np.random.default_rng(rng)
+    rays = Revolution.of(sensor, noise.draw_phase(sensor.azimuth_step or 0.0, rng), spin_rate)
+    bias = noise.draw_range_bias(sensor.n_rings, rng) if range_bias is None else frozen(range_bias)
+    if bias.shape != (sensor.n_rings,):
+        raise InputError(f"sensor '{sensor.name}' has {sensor.n_rings} rings; found range biases of shape {bias.shape}")
+    placement = np.eye(4) if T_world_lidar is None else T_world_lidar
+    if isinstance(placement, np.ndarray):
+        rays = _facing(rays, scene, placement, sensor.beam_divergence * (1 + noise.edge_spread))
+    origins, directions = _place(rays, placement)
+
+    margin = noise.draw_edge_margin(sensor.beam_divergence, len(rays), rng)
+    ranges, surface, cos_incidence = _cast(scene, origins, directions, margin)
+    hit = np.flatnonzero((surface >= 0) & (ranges >= sensor.min_range) & (ranges <= sensor.max_range))
+    hit = hit[noise.draw_survivors(cos_incidence[hit], rng)]
+    ring = rays.ring(hit)
+    r, azimuth, elevation = noise.measure(ranges[hit], rays.azimuth(hit), rays.elevation(hit), bias[ring], rng)
+    reflectivity = np.array([thing.reflectivity for thing in scene.surfaces])
+    scan = Scan(
+        points=r[:, None] * unit_vectors(azimuth, elevation),
+        ring=ring,
+        intensity=100.0 * reflectivity[surface[hit]] * cos_incidence[hit],
+        time=rays.time(hit),
+        sensor=sensor,
+        name=name,
+    )
+    return SimulatedScan(scan, frozen(surface[hit], np.int64), scene, frozen(_pose_at_stamp(placement)))
+
+
+def simulate_target(
+    target: Target,
+    sensor: SensorModel,
+    T_lidar_target: Floats,
+    *,
+    noise: NoiseModel = IDEAL,
+    rng: np.random.Generator | int = 0,
+    range_bias: Floats | None = None,
+    name: str = "simulated",
+) -> Scan:
+    """Return one revolution's returns on one target, and nothing else: see `simulate`.
+
+    Args:
+        target: the target.
+        sensor: the sensor, at rest.
+        T_lidar_target: (4, 4) the target's pose.
+        noise: how measurements err; none by default.
+        rng: generator or seed.
+        range_bias: (R,) range bias of each ring, metres; None: drawn from the noise.
+        name: the scan's name.
+    """
+    scene = Scene((Patch(target, np.asarray(T_lidar_target, dtype=float)),))
+    return simulate(scene, sensor, noise=noise, rng=rng, range_bias=range_bias, name=name).scan
+
+
+def random_rings(scan: Scan, share: float, rng: np.random.Generator | int = 0) -> Ints:
+    """Return some of the rings of a scan, drawn at random: those to leave out for partial illumination.
+
+    Args:
+        scan: a scan with rings.
+        share: how many, as a share of the rings that have returns; rounded to whole rings.
+        rng: generator or seed.
+
+    Raises:
+        InputError: the scan has no rings, or a share out of [0, 1].
+    """
+    if not 0 <= share <= 1:
+        raise InputError(f"share of rings {share} is not within [0, 1]")
+    present = np.unique(_rings(scan))
+    return np.sort(np.random.default_rng(rng).choice(present, round(share * len(present)), replace=False))
+
+
+def without_rings(scan: Scan, rings: ArrayLike) -> Scan:
+    """Return the scan without the returns of some rings: partial illumination.
+
+    Raises:
+        InputError: the scan has no rings.
+    """
+    return scan.select(~np.isin(_rings(scan), rings))
+
+
+def _rings(scan: Scan) -> Ints:
+    if scan.ring is None:
+        raise InputError(f"{scan.name}: has no rings to leave out")
+    return scan.ring
+
+
+def _facing(rays: Revolution, scene: Scene, T_world_lidar: Floats, margin: float) -> Revolution:
+    """The columns of a sensor at rest in which there is something to hit."""
+    bounds = [surface.bounds for surface in scene.surfaces]
+    spheres = []
+    for sphere in bounds:
+        if sphere is None:
+            return rays
+        centre = (sphere[0] - T_world_lidar[:3, 3]) @ T_world_lidar[:3, :3]
+        spheres.append((centre, float(widened(sphere[1], np.array(np.linalg.norm(centre)), margin))))
+    return rays.facing(spheres)
+
+
+def _place(rays: Revolution, T_world_lidar: Floats | Motion) -> tuple[Floats, Floats]:
+    """Origins (1 or N, 3) and directions (N, 3) of rays in the world."""
+    if isinstance(T_world_lidar, np.ndarray):
+        return T_world_lidar[None, :3, 3], (T_world_lidar[:3, :3] @ rays.directions.T).T
+    R, t = T_world_lidar.at(rays.time(np.arange(len(rays))))
+    return t, np.einsum("nij,nj->ni", R, rays.directions)
+
+
+def _pose_at_stamp(T_world_lidar: Floats | Motion) -> Floats:
+    if isinstance(T_world_lidar, np.ndarray):
+        return T_world_lidar
+    T = np.eye(4)
+    R, t = T_world_lidar.at(np.zeros(1))
+    T[:3, :3], T[:3, 3] = R[0], t[0]
+    return T
+
+
+def _cast(scene: Scene, origins: Floats, directions: Floats, margin: Floats) -> tuple[Floats, Ints, Floats]:
+    """(N,) range to the nearest surface, (N,) which (-1: none), (N,) cosine of incidence."""
+    nearest = np.full(len(directions), np.inf)
+    surface = np.full(len(directions), -1, dtype=np.int64)
+    cosine = np.zeros(len(directions))
+    for k, thing in enumerate(scene.surfaces):
+        index, ranges, cos_incidence = thing.cast(origins, directions, margin)
+        nearer = ranges < nearest[index]
+        index = index[nearer]
+        nearest[index], surface[index], cosine[index] = ranges[nearer], k, cos_incidence[nearer]
+    return nearest, surface, cosine

@@ -1,0 +1,71 @@
+"""Simulated scans as files, with their truth beside them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optshape_graph.errors import EstimationError
+from optshape_graph.io import write_scan
+from optshape_graph.io.documents import write_json
+from optshape_graph.simulation.noise import NoiseModel
+from optshape_graph.simulation.scene import SimulatedScan
+
+
+def write_simulation(
+    path: str | Path, result: SimulatedScan, noise: NoiseModel, seed: int, rings_left_out: ArrayLike = ()
+) -> Path:
+    """Write a cloud as PCD, and what is true of it as JSON under the same name.
+
+    The truth (`optshape/simulation/1`) has one entry of `targets` for each target: its `T_lidar_target` at the scan's
+    stamp, its `vertices` in the LiDAR frame and its number of returns. Of a single target, pose and vertices stand at
+    the top as well.
+
+    Args:
+        path: ends in .pcd.
+        result: the scan and its truth.
+        noise: what was asked for.
+        seed: of the noise.
+        rings_left_out: rings that were made to return nothing.
+
+    Returns:
+        The path of the truth.
+
+    Raises:
+        EstimationError: nothing was hit.
+        InputError: the path cannot be written.
+    """
+    path = Path(path)
+    if len(result.scan) == 0:
+        raise EstimationError(f"{path}: no ray of sensor '{_sensor_name(result)}' returned; nothing was written")
+    targets = [
+        {
+            "target": patch.shape.name,
+            "T_lidar_target": T,
+            "vertices": patch.shape.vertices @ T[:3, :3].T + T[:3, 3],
+            "returns": int((result.surface == k).sum()),
+        }
+        for k, (patch, T) in enumerate(zip(result.scene.targets, result.T_lidar_targets, strict=True))
+    ]
+    document: dict[str, Any] = {
+        "schema": "optshape/simulation/1",
+        "scan": path.name,
+        "sensor": _sensor_name(result),
+        "seed": seed,
+        "noise": asdict(noise),
+        "rings_left_out": np.asarray(rings_left_out, dtype=int),
+        "T_world_lidar": result.T_world_lidar,
+    }
+    if len(targets) == 1:
+        document |= {key: targets[0][key] for key in ("target", "T_lidar_target", "vertices")}
+    write_scan(path, result.scan)
+    write_json(path.with_suffix(".json"), document | {"targets": targets})
+    return path.with_suffix(".json")
+
+
+def _sensor_name(result: SimulatedScan) -> str:
+    return result.scan.sensor.name if result.scan.sensor else "unknown"

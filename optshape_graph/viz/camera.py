@@ -1,0 +1,129 @@
+"""Overlays: LiDAR returns on the image, coloured by range, and the target's outline as each sensor sees it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from optshape_graph._arrays import Floats
+from optshape_graph.calibration.camera_calibration import CameraCalibration
+from optshape_graph.calibration.camera_evidence import without_bias
+from optshape_graph.calibration.consistency import of_view
+from optshape_graph.calibration.images.projection import opencv, project
+from optshape_graph.calibration.sightings import TargetInScan
+from optshape_graph.camera import CameraIntrinsics
+from optshape_graph.errors import InputError
+from optshape_graph.factors.se3 import inverse
+from optshape_graph.io.files import read_bytes, write_atomically
+from optshape_graph.scan import Scan
+from optshape_graph.target import Target
+
+LIDAR_COLOUR, CAMERA_COLOUR = (60, 60, 255), (255, 200, 0)
+"""Blue, green, red: the outline predicted from the LiDAR, and the camera's own."""
+
+WIDEST_ANGLE = np.radians(80.0)
+"""Returns further from the optical axis than this are not drawn: lens models are not calibrated there."""
+
+POINTS_PER_EDGE = 50
+
+
+def draw_overlay(calibration: CameraCalibration, number: int, scan: Scan | None = None) -> np.ndarray:
+    """Draw one view: the returns on the image, the outline by the LiDAR (red) and by the camera (light blue).
+
+    Args:
+        calibration: the result.
+        number: the view's number.
+        scan: the whole scan; None: only the returns on the target.
+
+    Returns:
+        (h, w, 3) blue, green, red.
+
+    Raises:
+        InputError: the view has no image, or it cannot be read.
+    """
+    cv2 = opencv()
+    view = calibration.views[number].view
+    lidar_side, camera_side = of_view(number, calibration.sightings)
+    if view.image is None or view.image_name.lower().endswith(".csv") or camera_side is None:
+        raise InputError(f"view {view.name}: no image to draw on")
+    picture = cv2.imdecode(np.frombuffer(read_bytes(Path(view.image.image)), np.uint8), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise InputError(f"{view.image.image}: not an image that OpenCV can read")
+    rig = calibration.rig
+    camera = rig.cameras[camera_side.sensor]
+    _outline(picture, camera, view.target, camera_side.T_sensor_target, CAMERA_COLOUR)
+    caption = "camera's outline"
+    if lidar_side is not None and isinstance(lidar_side.seen, TargetInScan):
+        T_camera_lidar = inverse(rig.T_base_sensor[camera_side.sensor]) @ rig.T_base_sensor[lidar_side.sensor]
+        bias = rig.range_bias.get(lidar_side.sensor, 0.0)
+        returns = without_bias(lidar_side.seen.returns if scan is None else scan.points, bias)
+        _returns(picture, camera, T_camera_lidar, returns)
+        T_lidar_target = lidar_side.seen.pose(bias) @ inverse(lidar_side.S)
+        _outline(picture, camera, view.target, T_camera_lidar @ T_lidar_target, LIDAR_COLOUR)
+        caption = "LiDAR's outline red, camera's light blue"
+    _caption(picture, calibration, number, caption)
+    return np.asarray(picture)
+
+
+def save_overlays(calibration: CameraCalibration, folder: Path, scans: dict[int, Scan] | None = None) -> list[Path]:
+    """Write one PNG for each view that has an image; return their paths.
+
+    Args:
+        calibration: the result.
+        folder: where to write; it is made if it does not exist.
+        scans: whole scans by the view's number; without, only the returns on the target are drawn.
+    """
+    cv2 = opencv()
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for number, result in enumerate(calibration.views):
+        if result.view.image is None or result.view.image_name.lower().endswith(".csv"):
+            continue
+        picture = draw_overlay(calibration, number, (scans or {}).get(number))
+        path = folder / f"{number:03d}_{Path(result.view.image_name).stem}_{result.view.target.name}.png"
+        write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())
+        written.append(path)
+    return written
+
+
+def _returns(picture: np.ndarray, camera: CameraIntrinsics, T_camera_lidar: Floats, points: Floats) -> None:
+    cv2 = opencv()
+    in_camera = points @ T_camera_lidar[:3, :3].T + T_camera_lidar[:3, 3]
+    ahead = np.arctan2(np.linalg.norm(in_camera[:, :2], axis=1), in_camera[:, 2]) < WIDEST_ANGLE
+    in_camera, distance = in_camera[ahead], np.linalg.norm(points[ahead], axis=1)
+    if not len(in_camera):
+        return
+    near, far = np.quantile(distance, [0.02, 0.98])
+    share = np.clip((distance - near) / max(far - near, 1e-6), 0, 1)
+    colours = cv2.applyColorMap((255 * (1 - share)).astype(np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0]
+    for pixel, colour in zip(project(camera, in_camera), colours, strict=True):
+        if (pixel >= 0).all() and (pixel < (camera.width, camera.height)).all():
+            cv2.circle(picture, [int(x) for x in pixel], 2, [int(c) for c in colour], -1, cv2.LINE_AA)
+
+
+def _outline(
+    picture: np.ndarray, camera: CameraIntrinsics, target: Target, T_camera_target: Floats, colour: tuple[int, int, int]
+) -> None:
+    cv2 = opencv()
+    share = np.linspace(0, 1, POINTS_PER_EDGE, endpoint=False)[None, :, None]
+    points = ((1 - share) * target.vertices[:, None] + share * np.roll(target.vertices, -1, axis=0)[:, None]).reshape(-1, 3)
+    in_camera = points @ T_camera_target[:3, :3].T + T_camera_target[:3, 3]
+    if (in_camera[:, 2] > 0).all():
+        pixels = np.round(16 * project(camera, in_camera)).astype(np.int32)
+        cv2.polylines(picture, [pixels], True, colour, 2, cv2.LINE_AA, 4)
+
+
+def _caption(picture: np.ndarray, calibration: CameraCalibration, number: int, text: str) -> None:
+    cv2 = opencv()
+    result = calibration.views[number]
+    lines = [f"{result.view.name}: {'used' if result.used else 'not used'}; {text}"]
+    if (errors := result.errors) is not None:
+        lines.append(
+            f"centre {errors.centre_error_mm:.1f} mm, plane {errors.plane_offset_mm:+.1f} mm, "
+            f"normal {errors.normal_error_deg:.2f} deg, vertices {errors.reprojection_px:.1f} px"
+        )
+    for row, line in enumerate(lines):
+        place = (12, 30 + 30 * row)
+        cv2.putText(picture, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.7, (0, 0, 0), 4, cv2.LINE_AA)
+        cv2.putText(picture, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 255, 255), 1, cv2.LINE_AA)

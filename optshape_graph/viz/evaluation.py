@@ -1,0 +1,68 @@
+"""The paper's line charts: errors over distance, one line per noise level and orientation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from optshape_graph.errors import missing_extra
+from optshape_graph.evaluation.harness import Row
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLOURS = ("#1f5fa8", "#d9660f", "#2a8f4c", "#8c4fb0", "#b5313b", "#555555")
+PANELS = (("rmse_m", "RMSE of the vertices (m)"), ("e_t_m", "translation (m)"), ("e_r_deg", "rotation (deg)"))
+
+
+def plot_sweep(cells: Sequence[Row]) -> Figure:
+    """Plot mean errors over distance: a row per error, a column per method.
+
+    Solid lines are the first orientation, dashed ones the others; grey is the Cramer-Rao bound of the first noise
+    level, where rows have one.
+
+    Args:
+        cells: of `summarise`, by method, noise, orientation and range.
+
+    Raises:
+        MissingExtraError: matplotlib is absent.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as cause:
+        raise missing_extra("matplotlib", "plot", cause) from cause
+    methods, levels, orientations = (_in_order(cells, name) for name in ("method", "noise", "orientation"))
+    figure = Figure(figsize=(5.5 * len(methods), 9.0), layout="constrained")
+    axes = figure.subplots(len(PANELS), len(methods), sharex=True, sharey="row", squeeze=False)
+    for column, method in enumerate(methods):
+        axes[0, column].set_title(f"method: {method}")
+        axes[-1, column].set_xlabel("distance (m)")
+        for row, (name, label) in enumerate(PANELS):
+            panel = axes[row, column]
+            panel.set_yscale("log")
+            panel.grid(alpha=0.3)
+            if column == 0:
+                panel.set_ylabel(label)
+            for k, orientation in enumerate(orientations):
+                style = "-" if k == 0 else "--"
+                for level, colour in zip(levels, COLOURS, strict=False):
+                    line = [
+                        c for c in cells if (c["method"], c["noise"], c["orientation"]) == (method, level, orientation)
+                    ]
+                    drawn = [c for c in line if c[f"{name}_mean"] is not None]
+                    panel.plot(
+                        [c["range_m"] for c in drawn], [c[f"{name}_mean"] for c in drawn], style, color=colour, lw=1.3,
+                        label=f"noise {level}, {orientation}",
+                    )  # fmt: skip
+                    bounded = [c for c in line if c[f"{name}_bound"] is not None]
+                    if level == levels[0]:
+                        panel.plot(
+                            [c["range_m"] for c in bounded], [c[f"{name}_bound"] for c in bounded], style,
+                            color="#b5b5b5", lw=1.0, label=f"bound, {orientation}",
+                        )  # fmt: skip
+    axes[0, 0].legend(fontsize=7)
+    return figure
+
+
+def _in_order(cells: Sequence[Row], name: str) -> list[str]:
+    return list(dict.fromkeys(cell[name] for cell in cells))

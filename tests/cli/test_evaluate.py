@@ -1,0 +1,50 @@
+"""`optshape evaluate simulation`."""
+
+import csv
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from optshape_graph.cli.evaluate import command
+
+pytest.importorskip("joblib")
+pytest.importorskip("matplotlib")
+pytest.importorskip("pyarrow")
+
+
+def run(tmp_path, *arguments):
+    return CliRunner().invoke(command, ["simulation", *map(str, arguments), "-o", str(tmp_path)])
+
+
+def read(path):
+    with path.open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_a_small_sweep_writes_tables_and_charts_and_goes_on(tmp_path):
+    arguments = ["--distance", 4, "--distance", 8, "--rpy", 0, 0, 0, "--noise", 0, "--seeds", 1, "--method", "global"]
+    result = run(tmp_path, *arguments)
+    assert result.exit_code == 0, result.output
+    rows = read(tmp_path / "scans.csv")
+    assert [row["range_m"] for row in rows] == ["4.0", "8.0"]
+    assert all(float(row["rmse_m"]) < 0.05 for row in rows)
+    assert len(read(tmp_path / "cells.csv")) == 2
+    assert len(read(tmp_path / "groups.csv")) == 1
+    assert len(read(tmp_path / "table1.csv")) == 13
+    assert len(read(tmp_path / "consistency.csv")) == 2
+    assert (tmp_path / "errors.png").stat().st_size > 10_000
+    sweep = json.loads((tmp_path / "tasks" / "sweep.json").read_text())
+    assert sweep["sensor"]["name"] == "reference-simulator"
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "tasks").iterdir()}
+    table = (tmp_path / "scans.csv").read_bytes()
+    assert run(tmp_path, *arguments).exit_code == 0
+    assert (tmp_path / "scans.csv").read_bytes() == table
+    assert before == {path: path.stat().st_mtime_ns for path in (tmp_path / "tasks").iterdir()}
+
+
+def test_another_sweep_does_not_go_into_the_same_folder(tmp_path):
+    (tmp_path / "tasks").mkdir()
+    (tmp_path / "tasks" / "sweep.json").write_text('{"digest": "another"}')
+    result = run(tmp_path, "--distance", 4, "--noise", 0, "--seeds", 1)
+    assert "holds another sweep" in str(result.exception)

@@ -1,0 +1,83 @@
+import itertools
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped, Stream, in_order
+
+
+def kept(stamps: list[float]) -> tuple[list[float], Skipped]:
+    skipped = Skipped()
+    return [item.stamp for item in in_order([Stamped(s, None) for s in stamps], skipped, "test")], skipped
+
+
+def test_increasing_stamps_are_all_kept():
+    stamps = [k * 0.1 for k in range(100)]
+    assert kept(stamps) == (stamps, Skipped())
+
+
+def test_a_duplicate_costs_itself():
+    result, skipped = kept([0.0, 0.1, 0.1, 0.2])
+    assert result == [0.0, 0.1, 0.2]
+    assert skipped == {"stamp duplicated": 1}
+
+
+def test_a_stamp_that_goes_backward_costs_itself():
+    result, skipped = kept([0.0, 0.1, 0.2, 0.15, 0.3, 0.4])
+    assert result == [0.0, 0.1, 0.2, 0.3, 0.4]
+    assert skipped == {"stamp goes backward": 1}
+
+
+def test_a_stamp_in_the_far_future_costs_itself_even_as_the_first():
+    for position in (0, 4, 8):  # of two left at the end, nothing tells which is wrong
+        good = [k * 0.1 for k in range(10)]
+        stamps = [*good[:position], 9999.0, *good[position:]]
+        result, skipped = kept(stamps)
+        assert result == good
+        assert skipped == {"stamp ahead of those that follow": 1}
+
+
+def test_a_stamp_a_little_ahead_costs_itself():
+    good = [k * 0.1 for k in range(12)]
+    result, skipped = kept([*good[:5], 0.75, *good[5:]])  # ahead of the three that follow
+    assert result == good
+    assert skipped == {"stamp ahead of those that follow": 1}
+
+
+@given(
+    st.lists(st.floats(-10, 1e4), min_size=0, max_size=3),
+    st.lists(st.integers(0, 40), min_size=3, max_size=3),
+)
+def test_few_wrong_stamps_cost_no_more_than_themselves(wrong, positions):
+    good = [100 + k * 0.1 for k in range(40)]
+    stamps = list(good)
+    for value, position in zip(wrong, positions, strict=False):
+        stamps.insert(position, value)
+    result, skipped = kept(stamps)
+    assert all(a < b for a, b in itertools.pairwise(result))
+    assert len(result) + skipped.total() == len(stamps)
+    # A wrong stamp that happens to be in order is kept, and may push out a good one between it and the next.
+    assert len(result) >= len(good) - len(wrong)
+
+
+def test_counts_of_one_iteration_do_not_add_to_the_next():
+    def read(skipped):
+        skipped.add(BadMessage("empty"), "test")
+        yield Stamped(1.0, "a")
+
+    stream = Stream("test", read)
+    for _ in range(2):
+        assert [item.value for item in stream] == ["a"]
+        assert stream.skipped == {"empty": 1}
+
+
+def test_nothing_beyond_the_lookahead_is_read_before_it_is_wanted():
+    read = []
+
+    def items():
+        for k in range(1000):
+            read.append(k)
+            yield Stamped(float(k), k)
+
+    next(in_order(items(), Skipped(), "test"))
+    assert len(read) <= 9

@@ -1,0 +1,119 @@
+"""Sensor files: built-in, saved and read back, and refused."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optshape_graph import InputError, SensorModel
+from optshape_graph.io import load_sensor, save_sensor
+from optshape_graph.io.builtin import builtin_names
+from tests.shared import SHARED, needs_shared
+
+SENSOR = """\
+schema: optshape/sensor/1
+name: mine
+elevations_deg: [-2, 0, 2]
+azimuth_step_deg: 0.2
+range_noise_m: 0.01
+"""
+
+
+@st.composite
+def sensors(draw: st.DrawFn) -> SensorModel:
+    n = draw(st.integers(1, 40))
+    gaps = np.array(draw(st.lists(st.floats(1e-3, 0.03), min_size=n, max_size=n)))
+    small = st.floats(0, 1)
+    least = draw(small)
+    return SensorModel(
+        elevations=np.cumsum(gaps) - draw(st.floats(0, 1.2)),
+        name=draw(st.text(min_size=1, max_size=8)),
+        azimuth_step=draw(st.none() | st.floats(1e-4, 1)),
+        range_noise=draw(small),
+        ring_bias=draw(small),
+        beam_divergence=draw(small),
+        beam_aperture=draw(small),
+        azimuth_offsets=draw(st.none() | st.lists(st.floats(-0.2, 0.2), min_size=n, max_size=n).map(np.array)),
+        range_resolution=draw(small),
+        min_range=least,
+        max_range=draw(st.just(np.inf) | st.floats(least + 1, 500)),
+    )
+
+
+@given(sensors())
+def test_saved_is_loaded(tmp_path_factory: pytest.TempPathFactory, sensor: SensorModel) -> None:
+    path = tmp_path_factory.mktemp("sensor") / "a.yaml"
+    save_sensor(path, sensor)
+    found = load_sensor(path)
+    for name in (
+        "elevations", "azimuth_step", "range_noise", "ring_bias", "beam_divergence", "azimuth_offsets",
+        "range_resolution", "min_range", "max_range",
+    ):  # fmt: skip
+        value = getattr(sensor, name)
+        if value is None:
+            assert getattr(found, name) is None
+        else:  # radians become degrees and back
+            np.testing.assert_allclose(getattr(found, name), value, rtol=1e-15, atol=1e-16)
+    assert found.name == sensor.name
+
+
+@pytest.mark.parametrize("name", builtin_names("sensor"))
+def test_built_in_sensors(name: str) -> None:
+    assert load_sensor(name).name == name
+
+
+def test_what_may_be_left_out(tmp_path: Path) -> None:
+    (tmp_path / "os.yaml").write_text("schema: optshape/sensor/1\nelevations_deg: [-1.5, 1e-3]\n")
+    sensor = load_sensor("os.yaml", tmp_path)
+    assert (sensor.name, sensor.azimuth_step, sensor.azimuth_offsets, sensor.max_range) == ("os", None, None, np.inf)
+    np.testing.assert_allclose(np.degrees(sensor.elevations), [-1.5, 1e-3])
+
+
+@needs_shared
+def test_published_tables() -> None:
+    with (SHARED / "reference" / "vlp32c_elevations.csv").open() as stream:
+        nominal = [float(row["elevation_deg"]) for row in csv.DictReader(stream)]
+    np.testing.assert_allclose(np.degrees(load_sensor("vlp32c").elevations), nominal, atol=1e-12)
+    reference = load_sensor(SHARED / "reference" / "reference_simulator.sensor.yaml")
+    assert reference.n_rings == 32
+    np.testing.assert_allclose(np.degrees(reference.azimuth_step or 0), 0.4)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            SENSOR.replace("elevations_deg", "elevations"),
+            r"bad\.yaml:3: elevations: unknown key 'elevations' \(did you mean 'elev",
+        ),
+        ("schema: optshape/sensor/1\n", "the key 'elevations_deg' is missing"),
+        (SENSOR.replace("sensor/1", "target/1"), r"bad\.yaml:1: schema: expected 'optshape/sensor/1'"),
+        (SENSOR.replace("[-2, 0, 2]", "[]"), "elevations_deg: expected a list of at least one element, found 0"),
+        (SENSOR.replace("[-2, 0, 2]", "[-2, 2, 0]"), r"number 2 \(0 deg\) does not exceed number 1 \(2 deg\)"),
+        (SENSOR.replace("[-2, 0, 2]", "[-2, 0, 95]"), "elevation 95 deg is not within"),
+        (SENSOR.replace("[-2, 0, 2]", "[-2, low, 2]"), r"elevations_deg\[1\]: expected a finite number, found 'low'"),
+        (SENSOR.replace("0.2", "0"), r"azimuth step 0\.0 rad is not within \(0, pi\)"),
+        (SENSOR.replace("0.01", "-0.01"), r"range_noise -0\.01 is not a number >= 0"),
+        (SENSOR.replace("0.01", "1 cm"), r"bad\.yaml:5: range_noise_m: expected a finite number, found '1 cm'"),
+        (SENSOR + "azimuth_offsets_deg: [1, 2]\n", "expected 3 finite azimuth offsets, one per ring, found 2"),
+        (SENSOR + "min_range_m: 5\nmax_range_m: 4\n", r"max_range 4\.0 m does not exceed 5\.0 m"),
+        (SENSOR + "range_resolution_m: -1\n", r"range_resolution -1\.0 is not a number >= 0"),
+        (SENSOR + "min_range_m: -1\n", r"min_range -1\.0 is not a number >= 0"),
+    ],
+)
+def test_files_that_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as raised:
+        load_sensor(path)
+    assert str(raised.value).startswith(str(path))
+
+
+def test_neither_name_nor_file() -> None:
+    with pytest.raises(InputError, match=r"vlp64: no such file, and the built-in sensors are: .*vlp16, vlp32c"):
+        load_sensor("vlp64")

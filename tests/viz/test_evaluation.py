@@ -1,0 +1,28 @@
+"""Charts of sweeps."""
+
+import pytest
+
+from optshape_graph.evaluation import summarise
+
+pytest.importorskip("matplotlib")
+
+
+def test_a_line_for_every_method_level_and_orientation(tmp_path):
+    from optshape_graph.viz.evaluation import plot_sweep
+
+    rows = [
+        {
+            "method": method, "noise": noise, "orientation": orientation, "range_m": x, "distance_m": x, "n_points": 9,
+            "e_q_m": 0.1, "status": "ok", "rmse_m": 0.01 * x, "e_t_m": 0.01 * x, "e_r_deg": x, "bound_rmse_m": 0.01,
+            "bound_e_t_m": 0.01, "bound_e_r_deg": None,
+        }
+        for method in ("global", "paper") for noise in ("0", "1") for orientation in ("face", "extreme")
+        for x in (2.0, 4.0)
+    ]  # fmt: skip
+    figure = plot_sweep(summarise(rows, ("method", "noise", "orientation", "range_m")))
+    assert len(figure.axes) == 6
+    lines = figure.axes[0].get_lines()
+    assert len(lines) == 6  # two levels and the bound, in two orientations
+    assert lines[0].get_ydata() == pytest.approx([0.02, 0.04])
+    figure.savefig(tmp_path / "errors.png")
+    assert (tmp_path / "errors.png").stat().st_size > 1000
