@@ -164,7 +164,9 @@ def _view(
     cameras: Mapping[str, CameraIntrinsics],
     mocap: Mocap | None,
 ) -> View:
-    fields = node.fields([scan_key], ["lidar", "camera", "image", "targets", "target_points", "stamp", "mocap_frame", "corners"])
+    fields = node.fields(
+        [scan_key], ["lidar", "camera", "image", "targets", "target_points", "stamp", "mocap_frame", "corners"]
+    )
     if "lidar" not in fields and len(lidars) > 1:
         node.fail(f"the key 'lidar' is missing; the session has several: {', '.join(lidars)}")
     lidar = _reference(fields["lidar"], lidars, "LiDAR") if "lidar" in fields else next(iter(lidars))

@@ -80,7 +80,7 @@ NEAR, FAR = 5, 4
 def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> Floats:
     """Solve the in-plane pose of every labelling, and keep the best that differ.
 
-    With edge points moved outwards by half an azimuth step, the residual of point q on edge k is
+    With edge points moved to where the boundary is expected, the residual of point q on edge k is
     n_k . (C q + t) - c_k, linear in (cos, sin, t_y, t_z): the normal matrix of a labelling is a sum over its points,
     t is eliminated, and the angle minimises a quadratic form on the circle.
 
@@ -96,8 +96,7 @@ def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> F
     picked = np.unique(np.linspace(0, edges.n_rings - 1, min(count, edges.n_rings)).round().astype(int))
     rows = np.column_stack([2 * picked, 2 * picked + 1]).ravel()
     outward = edges.outward(plane.axes[0])[rows]
-    inset = 0.5 * edges.azimuth_step / edges.revolutions[rows]
-    q = ((edges.points[rows] + inset[:, None] * outward - plane.centre) @ plane.axes.T)[:, 1:]
+    q = ((edges.points[rows] + edges.middle[rows, None] * outward - plane.centre) @ plane.axes.T)[:, 1:]
 
     n = target.normals
     columns = np.stack(np.broadcast_arrays(

@@ -12,6 +12,7 @@ from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import TemplateMeasurement, template_rows
 from optshape_graph.factors.se3 import inverse, inverse_covariance
 from optshape_graph.factors.static import BiasedMeasurement
+from optshape_graph.pose.angles import level_rings
 from optshape_graph.pose.association import enumerate_poses, fit_plane
 from optshape_graph.pose.estimate import (
     AMBIGUITY_MARGIN,
@@ -22,7 +23,15 @@ from optshape_graph.pose.estimate import (
 )
 from optshape_graph.pose.evidence import alternative_labels, exit_probability, missed_rings, vertices_in_lidar
 from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, returns_on_plane
-from optshape_graph.pose.propagation import Posterior, Problem, concatenate, edge_geometry, interval_width, propagate
+from optshape_graph.pose.propagation import (
+    EdgeGeometry,
+    Posterior,
+    Problem,
+    concatenate,
+    edge_geometry,
+    own_variance,
+    propagate,
+)
 from optshape_graph.pose.sdp import Backend, certify
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
@@ -45,9 +54,10 @@ class _Candidates:
 
 def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel") -> PoseEstimate:
     """Estimate a target's pose from its returns; see `estimate_pose`."""
-    edges = extract_edge_points(scan)
+    scan, angular_noise = level_rings(scan)
+    edges = extract_edge_points(scan, angular_noise)
     plane = fit_plane(scan.points, scan.ring)
-    returns = returns_on_plane(scan.points, scan.ring, plane.axes[0], plane.distance, scan.sensor)
+    returns = returns_on_plane(scan.points, scan.ring, plane.axes[0], plane.distance, scan.sensor, angular_noise)
     problem = Problem(edges, target, _plane_form(returns), EdgeNoise.of(scan.sensor))
     starts = enumerate_poses(edges, plane, target)
     candidates = _score(problem, _upright(starts, target), scan)
@@ -68,7 +78,7 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     residuals = final.residual[0] + inset * final.along[0]
     ambiguity = _ambiguity(candidates, same)
     unobservable = unobservable_directions(covariance, target.circumradius)
-    explained = _explained(problem, final.residual[0], final.along[0], final.across[0], float(best.offset[0]))
+    explained = _explained(problem, final, float(best.offset[0]))
     status, reason = _verdict(explained, len(edges), unobservable, ambiguity)
     return PoseEstimate(
         target=target,
@@ -271,12 +281,12 @@ def _ambiguity(candidates: _Candidates, same: Bools) -> Ambiguity:
     return Ambiguity(float(best - score[rival]), inverse(candidates.posterior.T_target_lidar[rival]))
 
 
-def _explained(problem: Problem, residual: Floats, along: Floats, across: Floats, offset: float) -> float:
+def _explained(problem: Problem, geometry: EdgeGeometry, offset: float) -> float:
     """Share of edge points whose boundary is within the interval that a last return leaves, give or take 3 sigma."""
-    boundary = residual + np.maximum(along, 0.0) * 0.5 * interval_width(problem.edges) + offset * across
-    half = np.abs(along) * 0.5 * interval_width(problem.edges)
-    sigma = np.hypot(problem.noise.floor, problem.noise.OWN * across)
-    return float(np.mean(np.abs(boundary) < half + 3 * sigma))
+    along = geometry.along[0]
+    boundary = geometry.residual[0] + offset * geometry.across[0] + along * problem.edges.middle
+    half = np.abs(along) * 0.5 * problem.edges.width
+    return float(np.mean(np.abs(boundary) < half + 3 * np.sqrt(own_variance(problem, geometry)[0])))
 
 
 def _verdict(
@@ -284,7 +294,10 @@ def _verdict(
 ) -> tuple[Status, str]:
     if explained < MIN_EXPLAINED:
         count = round((1 - explained) * n_points)
-        return "failed", f"{count} of {n_points} ring ends do not end on an edge: not this target, or its returns are mixed"
+        return (
+            "failed",
+            f"{count} of {n_points} ring ends do not end on an edge: not this target, or its returns are mixed",
+        )
     if unobservable:
         return "failed", "not observable: " + "; ".join(unobservable)
     if ambiguity.margin < AMBIGUITY_MARGIN:

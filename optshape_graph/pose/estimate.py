@@ -15,8 +15,8 @@ from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.pose.sdp import Certificate
 from optshape_graph.target import Target
 
-AMBIGUITY_MARGIN = 3.0
-"""Below this difference of log likelihoods (a factor of 20) a different pose cannot be ruled out."""
+AMBIGUITY_MARGIN = 5.0
+"""Below this difference of log likelihoods (a factor of 150) a different pose cannot be ruled out."""
 
 UNOBSERVABLE_SD = 0.4
 """Standard deviation, rad or target radii, beyond which a direction counts as not observable."""

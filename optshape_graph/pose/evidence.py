@@ -8,7 +8,7 @@ from scipy.special import log_ndtr
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import EdgePoints
 from optshape_graph.pose.noise import LOST_RETURNS
-from optshape_graph.pose.propagation import Posterior, Problem, interval_width
+from optshape_graph.pose.propagation import Posterior, Problem, own_variance
 from optshape_graph.sensor import SensorModel
 
 
@@ -97,7 +97,7 @@ def exit_probability(problem: Problem, posterior: Posterior) -> Floats:
     normal = np.concatenate([np.zeros((*worst.shape, 1)), problem.target.normals[worst]], axis=-1) @ R
     J = np.concatenate([np.cross(_boundary(problem, posterior), normal), normal], axis=-1)
     variance = ((J @ posterior.covariance) * J).sum(axis=-1)
-    variance += problem.noise.floor**2 + (problem.noise.OWN * posterior.geometry.across) ** 2
+    variance += own_variance(problem, posterior.geometry)
     inside = log_ndtr(-np.take_along_axis(beyond, worst[..., None], axis=-1)[..., 0] / np.sqrt(variance))
     return np.asarray(np.maximum(inside, np.log(0.1 * LOST_RETURNS)).sum(axis=1))
 
@@ -112,7 +112,7 @@ def alternative_labels(problem: Problem, posterior: Posterior, limit: int) -> In
     """
     beyond = other_edges(problem, posterior)[0]
     nearest = beyond.argmax(axis=-1)
-    reach = 0.5 * np.abs(posterior.geometry.along[0]) * interval_width(problem.edges)
+    reach = 0.5 * np.abs(posterior.geometry.along[0]) * problem.edges.width
     closeness = -beyond.max(axis=-1) / (posterior.sigma[0] + reach)
     order = np.argsort(closeness)[:limit]
     order = order[closeness[order] < 1.0]

@@ -15,7 +15,6 @@ from math import comb
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
-from optshape_graph.target import Target
 
 MAX_LABELLINGS = 20_000
 """Beyond this many, the enumeration works on fewer rings, evenly picked."""

@@ -77,7 +77,7 @@ class PlaneReturns:
 
 
 def returns_on_plane(
-    points: Floats, ring: Ints | None, normal: Floats, distance: float, sensor: SensorModel | None
+    points: Floats, ring: Ints | None, normal: Floats, distance: float, sensor: SensorModel | None, azimuth_noise: float
 ) -> PlaneReturns:
     """Set returns against a plane near the target's.
 
@@ -87,11 +87,13 @@ def returns_on_plane(
         normal: (3,) unit normal of the plane, LiDAR frame.
         distance: of the plane from the sensor along the normal, metres.
         sensor: its range noise and ring bias, and how many rings it has; None: a centimetre each.
+        azimuth_noise: standard deviation of one azimuth, rad.
     """
     range_noise, ring_bias = (sensor.range_noise, sensor.ring_bias) if sensor else (0.01, 0.01)
     along = points @ normal
     cosine = np.abs(along) / np.linalg.norm(points, axis=1)
-    sigma = np.hypot(range_noise * cosine, FLATNESS)
+    sideways = np.abs(points[:, 0] * normal[1] - points[:, 1] * normal[0])  # off the plane per radian of azimuth
+    sigma = np.sqrt((range_noise * cosine) ** 2 + (azimuth_noise * sideways) ** 2 + FLATNESS**2)
     index = np.zeros(len(points), dtype=np.int64) if ring is None else ring
     bias = np.zeros((len(points), max(int(index.max()) + 1, sensor.n_rings if sensor else 1)))
     bias[np.arange(len(points)), index] = ring_bias * cosine / sigma

@@ -103,5 +103,3 @@ def _measurement(points: Floats, labels: Ints, target: Target, T: Floats) -> Tem
 
 def _moved(T: Floats, points: Floats) -> Floats:
     return np.asarray(points @ T[:3, :3].T + T[:3, 3])
-
-

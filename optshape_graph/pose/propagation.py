@@ -111,16 +111,6 @@ def concatenate(a: Posterior, b: Posterior) -> Posterior:
     return Posterior(geometry=geometry, **rest)
 
 
-def interval_width(edges: EdgePoints) -> Floats:
-    """(M,) azimuth within which the boundary lies beyond each edge point, rad.
-
-    One step for one revolution. The extreme of k revolutions lies k times nearer on average; the uniform density with its
-    mean square is sqrt(6 / ((k + 1)(k + 2))) steps wide.
-    """
-    k = edges.revolutions
-    return np.asarray(edges.azimuth_step * np.sqrt(6.0 / ((k + 1) * (k + 2))))
-
-
 def edge_geometry(problem: Problem, T: Floats, labels: Ints | None = None) -> EdgeGeometry:
     """Look at the edge points from C poses (C, 4, 4); without labels, a ring ends on the edge it leaves by first."""
     edges, target = problem.edges, problem.target
@@ -169,9 +159,9 @@ def propagate(
         relinearisations: how often the poses move to their posterior means.
         sweeps: updates of all edge points between two relinearisations.
     """
-    width = interval_width(problem.edges)
+    middle, width = problem.edges.middle, problem.edges.width
     offset = np.zeros(len(T))
-    inset = np.broadcast_to(0.5 * width, (len(T), len(width)))
+    inset = np.broadcast_to(middle, (len(T), len(width)))
     spread = np.broadcast_to(width**2 / 12, inset.shape)
     previous = labels
     for iteration in range(relinearisations):
@@ -179,25 +169,25 @@ def propagate(
         geometry = edge_geometry(problem, T, labels if labels is not None or not settled else previous)
         if previous is not None:
             changed = geometry.labels != previous
-            inset, spread = np.where(changed, 0.5 * width, inset), np.where(changed, width**2 / 12, spread)
+            inset, spread = np.where(changed, middle, inset), np.where(changed, width**2 / 12, spread)
         previous = geometry.labels
-        step, posterior = _sweep(problem, T, geometry, offset, inset, spread, width, sweeps)
+        step, posterior = _sweep(problem, T, geometry, offset, inset, spread, sweeps)
         inset, offset = posterior.inset, posterior.offset
         along = np.maximum(np.abs(geometry.along), 1e-3 * np.linalg.norm(problem.edges.points, axis=1))
-        spread = np.maximum(posterior.sigma**2 - _own_variance(problem, geometry), 1e-8 * along**2 * width**2) / along**2
+        spread = np.maximum(posterior.sigma**2 - own_variance(problem, geometry), 1e-8 * along**2 * width**2) / along**2
         largest = np.abs(step[:, :3]).max(axis=1, initial=0.0)
         T = T @ _exp(step * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))[:, None])
     return replace(posterior, T_target_lidar=T)
 
 
-def _own_variance(problem: Problem, geometry: EdgeGeometry) -> Floats:
+def own_variance(problem: Problem, geometry: EdgeGeometry) -> Floats:
     """(C, M) variance across the edge that is each edge point's own, quantisation apart, m2."""
-    return problem.noise.floor**2 + (problem.noise.OWN * geometry.across) ** 2
+    along = problem.edges.scatter * geometry.along
+    return problem.noise.floor**2 + (problem.noise.OWN * geometry.across) ** 2 + along**2
 
 
 def _sweep(
-    problem: Problem, T: Floats, geometry: EdgeGeometry, offset: Floats, inset: Floats, spread: Floats, width: Floats,
-    sweeps: int,
+    problem: Problem, T: Floats, geometry: EdgeGeometry, offset: Floats, inset: Floats, spread: Floats, sweeps: int
 ) -> tuple[Floats, Posterior]:
     """Update all edge points `sweeps` times at fixed linearisation; the step of the mean, and the posterior."""
     points, R = problem.edges.points, T[:, :3, :3]
@@ -215,9 +205,9 @@ def _sweep(
     precision0[:, 6, 6] = offset_precision
     shift0[:, 6] = -offset_precision * offset
 
-    own = _own_variance(problem, geometry)
+    own = own_variance(problem, geometry)
     s = geometry.along
-    lower, upper, log_density = _intervals(s, width)
+    lower, upper, log_density = _intervals(s, problem.edges)
     tau = 1.0 / (own + spread * s**2)
     nu = -tau * inset * s
     change = np.inf
@@ -258,7 +248,7 @@ def _sweep(
         covariance=covariance[:, :6, :6],
         offset=offset + mean[:, 6],
         geometry=geometry,
-        inset=np.clip(-(nu / tau) / fast, LOST_SPAN[0] * width, LOST_SPAN[1] * width),
+        inset=np.clip(-(nu / tau) / fast, *_lost_interval(problem.edges)),
         sigma=1.0 / np.sqrt(tau),
         log_evidence=log_evidence,
     )
@@ -272,19 +262,25 @@ def _log_ratio(cavity_mean: Floats, cavity_variance: Floats, tau: Floats, nu: Fl
     return np.asarray(np.log(total / precision) - shift**2 / total + cavity_mean**2 * precision)
 
 
-def _intervals(along: Floats, width: Floats) -> tuple[Floats, Floats, Floats]:
-    """Where the residual of a boundary point lies: within the step, or, for a lost return, about it.
+def _lost_interval(edges: EdgePoints) -> tuple[Floats, Floats]:
+    """Ends (M,), (M,) of where the boundary lies beyond a ring end that is not its last return, rad."""
+    return edges.lower + LOST_SPAN[0] * edges.azimuth_step, edges.lower + LOST_SPAN[1] * edges.azimuth_step
 
-    A point that leaves its edge inwards cannot have ended there: its first interval is empty of weight.
+
+def _intervals(along: Floats, edges: EdgePoints) -> tuple[Floats, Floats, Floats]:
+    """Where the residual of a boundary point lies (2, C, M): within its interval, or, for a lost return, about it.
+
+    Densities are per azimuth step. A point that leaves its edge inwards cannot have ended there: its first interval is
+    empty of weight.
     """
-    inside, lost = (0.0, 1.0), LOST_SPAN
-    ends = np.array([[-hi, -lo] for lo, hi in (inside, lost)])  # (2, 2) in steps
-    scaled = ends[:, :, None, None] * (along * width)
-    lower, upper = scaled.min(axis=1) - 1e-7, scaled.max(axis=1) + 1e-7
-    log_density = np.broadcast_to(
-        np.log([(1 - LOST_RETURNS), LOST_RETURNS / (lost[1] - lost[0])])[:, None, None], lower.shape
-    ).copy()
-    log_density[0] = np.where(along > 0, log_density[0], log_density[0] - 20.0)
+    ends = np.array([[edges.lower, edges.upper], _lost_interval(edges)])[:, :, None]
+    residuals = -ends * along
+    lower, upper = residuals.min(axis=1) - 1e-7, residuals.max(axis=1) + 1e-7
+    shape = (2, *along.shape)
+    log_density = np.log([[1 - LOST_RETURNS], [LOST_RETURNS / (LOST_SPAN[1] - LOST_SPAN[0])]])
+    log_density = np.broadcast_to(log_density[..., None], shape).copy()
+    log_density[0] -= np.log(edges.width / edges.azimuth_step)
+    log_density[0] -= np.where(along > 0, 0.0, 20.0)
     return lower, upper, log_density
 
 

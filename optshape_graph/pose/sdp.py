@@ -63,7 +63,7 @@ def rotation_constraints() -> Floats:
         for a in vectors:
             add({**{(i, i): 1.0 for i in a}, (9, 9): -1.0})
         for a, b in combinations(vectors, 2):
-            add({(i, j): 1.0 for i, j in zip(a, b, strict=True)})
+            add(dict.fromkeys(zip(a, b, strict=True), 1.0))
     for k, i in product(range(3), range(3)):  # column k x column k+1 = column k+2
         a, b, c = index[:, k], index[:, (k + 1) % 3], index[:, (k + 2) % 3]
         j, m = (i + 1) % 3, (i + 2) % 3

@@ -102,6 +102,14 @@ def test_general_form(folder: Path) -> None:
     assert session.mocap.vertices == {"corner0": ("A", 0), "corner1": ("B", 3)}
 
 
+def test_corners_of_an_image(folder: Path) -> None:
+    (folder / "a.csv").touch()
+    session = load_session(write(folder, SHORT.replace("image: a.png", "image: a.png, corners: a.csv")))
+    assert session.views[0].corners == folder / "a.csv"
+    with pytest.raises(InputError, match=r"views\[0\]\.corners: no such file: .*z\.csv"):
+        load_session(write(folder, SHORT.replace("image: a.png", "image: a.png, corners: z.csv")))
+
+
 def test_markers_of_other_names_are_left_to_their_shape(folder: Path) -> None:
     markers = folder / "markers.csv"
     markers.write_text(markers.read_text().replace("corner3", "top"))

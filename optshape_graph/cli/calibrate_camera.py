@@ -1,0 +1,130 @@
+"""`optshape calibrate camera`: LiDARs and cameras calibrated from scans and images of targets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from optshape_graph.calibration.camera_calibration import CameraCalibration
+
+
+@click.command()
+@click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@click.option("--overlays", type=click.Path(path_type=Path), help="Write an image per view, returns drawn on it, here.")
+@click.option("--camchain", type=click.Path(path_type=Path), help="Write a Kalibr-style camchain to this file.")
+@click.option("--use-target-points", is_flag=True, help="Take the targets' returns from the views' manual crops.")
+@click.option("--refine-intrinsics", is_flag=True, help="Refine the cameras' intrinsics too, the given ones being a prior.")
+@click.option(
+    "--range-bias-sigma",
+    type=click.FloatRange(min=0.0),
+    default=0.03,
+    show_default=True,
+    help="Prior standard deviation of a LiDAR's range bias, metres; 0: it has none.",
+)
+def command(
+    session: Path,
+    json_path: Path | None,
+    overlays: Path | None,
+    camchain: Path | None,
+    use_target_points: bool,
+    refine_intrinsics: bool,
+    range_bias_sigma: float,
+) -> int:
+    """Calibrate T_camera_lidar from scans and images of targets; no initial guess is needed.
+
+    Errors are leave-one-out: each view is predicted by the extrinsic of the others. Exit status 3: some views took no
+    part; the result is that of the others.
+    """
+    from optshape_graph.calibration.camera_calibration import calibrate
+    from optshape_graph.calibration.camera_export import as_document, kalibr_camchain
+    from optshape_graph.calibration.camera_graph import Unknowns
+    from optshape_graph.calibration.camera_session import read_views
+    from optshape_graph.cli.console import progress_bar
+    from optshape_graph.io import load_session
+    from optshape_graph.io.documents import write_json, write_yaml
+
+    with progress_bar("images and scans") as progress:
+        views = read_views(load_session(session), use_target_points, progress)
+    with progress_bar("cross-validation") as progress:
+        calibration = calibrate(views, Unknowns(range_bias_sigma, refine_intrinsics), progress)
+    if json_path:
+        write_json(json_path, as_document(calibration))
+    if camchain:
+        write_yaml(camchain, kalibr_camchain(calibration))
+    if overlays:
+        from optshape_graph.viz.camera import save_overlays
+
+        with progress_bar("overlays") as progress:
+            save_overlays(calibration, overlays, progress)
+    _print(calibration)
+    return 0 if all(result.used for result in calibration.views) else 3
+
+
+def _print(calibration: CameraCalibration) -> None:
+    from optshape_graph.calibration.camera_export import static_transforms
+    from optshape_graph.cli.console import print_table
+    from optshape_graph.factors import inverse_covariance
+    from optshape_graph.factors.se3 import inverse
+
+    rows = []
+    for result in calibration.views:
+        errors = result.errors
+        numbers = ["", "", "", ""] if errors is None else [
+            f"{errors.centre_error_mm:.1f}", f"{errors.plane_offset_mm:+.1f}",
+            f"{errors.normal_error_deg:.2f}", f"{errors.reprojection_px:.1f}",
+        ]  # fmt: skip
+        rows.append([result.view.name, "yes" if result.used else "no", *numbers])
+    left_out = calibration.cross_validations[0]
+    means = left_out.means()
+    rows.append([
+        "mean", "", f"{means['mean_centre_error_mm']:.1f}", f"{means['mean_signed_plane_offset_mm']:+.1f}",
+        f"{means['mean_normal_error_deg']:.2f}", f"{means['mean_reprojection_px']:.1f}",
+    ])  # fmt: skip
+    print_table(
+        "Views, each predicted by the extrinsic of the others",
+        ["view", "used", "centre [mm]", "plane [mm]", "normal [deg]", "vertices [px]"],
+        rows,
+        "plane: signed; its mean absolute value is " + f"{means['mean_absolute_plane_offset_mm']:.1f} mm",
+    )
+    for result in calibration.views:
+        if not result.used:
+            click.echo(f"optshape: not used: {result.view.name}: {result.reason}", err=True)
+    for camera in calibration.cameras:
+        for lidar in calibration.lidars:
+            T, covariance = calibration.transform(camera, lidar)
+            T_inverse, covariance_inverse = inverse(T), inverse_covariance(T, covariance)
+            _print_transform(f"T_{camera}_{lidar}", T, covariance)
+            _print_transform(f"T_{lidar}_{camera}", T_inverse, covariance_inverse)
+            lines = static_transforms(lidar, camera, T_inverse)
+            click.echo("\n".join([lines["ros1"], lines["ros2"], f"URDF: {lines['urdf']}"]))
+            bias, sigma = calibration.range_bias(lidar)
+            click.echo(f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far)")
+            click.echo(f"worst direction: {calibration.directions(lidar, camera)[0].text} (sd)")
+            if (place := calibration.next_placement(lidar, camera)) is not None:
+                x, y, z = place.T_lidar_target[:3, 3]
+                click.echo(
+                    f"a view with the target at ({x:.1f}, {y:.1f}, {z:.1f}) m, turned {place.yaw_deg:+.0f} deg and "
+                    f"tilted {place.pitch_deg:+.0f} deg from facing the LiDAR, would make the worst direction "
+                    f"{1e3 * place.expected_sigma_m:.1f} mm instead of {1e3 * place.sigma_m:.1f}"
+                )
+    for warning in calibration.warnings:
+        click.echo(f"optshape: warning: {warning}", err=True)
+
+
+def _print_transform(name: str, T: object, covariance: object) -> None:
+    import numpy as np
+
+    from optshape_graph.cli.console import print_table
+
+    sd = np.sqrt(np.diag(np.asarray(covariance)))
+    print_table(
+        name,
+        ["row", "", "", "", ""],
+        [[str(k), *(f"{value:.6f}" for value in row)] for k, row in enumerate(np.asarray(T))],
+        "sd: rotation " + " ".join(f"{value:.3f}" for value in np.degrees(sd[:3]))
+        + " deg, translation " + " ".join(f"{1e3 * value:.1f}" for value in sd[3:]) + " mm",
+    )  # fmt: skip
