@@ -1,7 +1,8 @@
 """Edge points: the returns at the two ends of each ring on a target.
 
 A ring's last return on the target lies inside the true edge by part of an azimuth step, so an edge point
-carries the direction along its ring in which the edge is to be looked for (`outward`), and the interval in which it lies.
+carries the direction along its ring in which the edge is to be looked for (`outward`), and the interval in which it
+lies.
 """
 
 from __future__ import annotations
@@ -166,9 +167,9 @@ def extract_edge_points(scan: Scan, azimuth_noise: float = 0.0) -> EdgePoints:
 def boundary_interval(revolutions: Floats, returns: Ints, jitter: float) -> tuple[Floats, Floats, Floats]:
     """Where the boundary lies beyond a ring's last return, in azimuth steps.
 
-    Within one step for one revolution: the phase of the firing is uniform. The extreme of k revolutions lies k times nearer on
-    average; the uniform density with its mean square is sqrt(6 / ((k + 1)(k + 2))) wide. Azimuths with noise make the
-    last return the largest of several that are about as far out: on average it is beyond the boundary, and it scatters.
+    Within one step for one revolution: the phase of the firing is uniform. The extreme of k revolutions lies nearer;
+    the uniform density with its mean square is sqrt(6 / ((k + 1)(k + 2))) wide. Azimuths with noise make the last
+    return the largest of several that are about as far out: on average it is beyond the boundary, and it scatters.
 
     Args:
         revolutions: (R,) merged in each ring.

@@ -12,7 +12,9 @@ from optshape_graph.io import load_sensor
 
 def wall(azimuths: np.ndarray, ring: int, distance: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
     """Returns of one ring on a cylinder about the sensor."""
-    points = np.column_stack([distance * np.cos(azimuths), distance * np.sin(azimuths), np.full(len(azimuths), 0.1 * ring)])
+    points = np.column_stack(
+        [distance * np.cos(azimuths), distance * np.sin(azimuths), np.full(len(azimuths), 0.1 * ring)]
+    )
     return points, np.full(len(azimuths), ring)
 
 

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 @click.option("--overlays", type=click.Path(path_type=Path), help="Write an image per view, returns drawn on it, here.")
 @click.option("--camchain", type=click.Path(path_type=Path), help="Write a Kalibr-style camchain to this file.")
 @click.option("--use-target-points", is_flag=True, help="Take the targets' returns from the views' manual crops.")
-@click.option("--refine-intrinsics", is_flag=True, help="Refine the cameras' intrinsics too, the given ones being a prior.")
+@click.option(
+    "--refine-intrinsics", is_flag=True, help="Refine the cameras' intrinsics too, the given ones being a prior."
+)
 @click.option(
     "--range-bias-sigma",
     type=click.FloatRange(min=0.0),
@@ -102,7 +104,9 @@ def _print(calibration: CameraCalibration) -> None:
             lines = static_transforms(lidar, camera, T_inverse)
             click.echo("\n".join([lines["ros1"], lines["ros2"], f"URDF: {lines['urdf']}"]))
             bias, sigma = calibration.range_bias(lidar)
-            click.echo(f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far)")
+            click.echo(
+                f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far)"
+            )
             click.echo(f"worst direction: {calibration.directions(lidar, camera)[0].text} (sd)")
             if (place := calibration.next_placement(lidar, camera)) is not None:
                 x, y, z = place.T_lidar_target[:3, 3]

@@ -65,7 +65,7 @@ def command(
         f"{template.name}: T_lidar_target",
         ["scan", "status", "x [m]", "y [m]", "z [m]", "± mm", "± deg", "certified", "margin", "returns"],
         rows,
-        "±: largest standard deviation of the position and of the rotation. margin: log likelihood to the best other pose.",
+        "±: largest standard deviation of position and rotation. margin: log likelihood to the best other pose.",
     )
     for reason in reasons:
         click.echo(f"optshape: {reason}", err=True)

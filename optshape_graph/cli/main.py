@@ -31,7 +31,9 @@ HELP = {
 """One line per command, so that `optshape --help` imports none of them."""
 
 
-@click.group(cls=LazyGroup, commands_at=COMMANDS, help_of=HELP, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=LazyGroup, commands_at=COMMANDS, help_of=HELP, context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(optshape_graph.__version__, prog_name="optshape")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 def cli(debug: bool) -> None:

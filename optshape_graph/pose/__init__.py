@@ -33,9 +33,9 @@ def estimate_pose(scan: Scan, target: Target, method: Method = "global", backend
         scan: the returns on the target and no others; its sensor, where known, gives azimuth step, noise and the
             rings that should have hit.
         target: the template.
-        method: "global" enumerates every consistent association of edge points to edges, finds the posterior of the pose
-            under each, and certifies the best; "paper" is the alternation of Huang, Clark and Grizzle, for
-            comparison.
+        method: "global" enumerates every consistent association of edge points to edges, finds the posterior of the
+            pose under the best of them, and certifies it; "paper" is the alternation of Huang, Clark and Grizzle,
+            for comparison.
         backend: what solves the relaxation.
 
     Returns:

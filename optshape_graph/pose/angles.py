@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Ints
 from optshape_graph.scan import Scan
 
 NEGLIGIBLE = 1e-4
@@ -16,8 +16,8 @@ NEGLIGIBLE = 1e-4
 def level_rings(scan: Scan) -> tuple[Scan, float]:
     """Put every return back on the cone of its ring, and say how far the returns were off it.
 
-    A ring's elevation is the sensor's, where its returns agree with it, else their median. An angular noise is taken to be
-    alike in azimuth, where it cannot be taken out.
+    A ring's elevation is the sensor's, where its returns agree with it, else their mean. An angular noise is taken
+    to be alike in azimuth, where it cannot be taken out.
 
     Args:
         scan: the returns of one target, with rings.
@@ -30,23 +30,22 @@ def level_rings(scan: Scan) -> tuple[Scan, float]:
     flat = np.hypot(scan.points[:, 0], scan.points[:, 1])
     elevation = np.arctan2(scan.points[:, 2], flat)
     rings, inverse, counts = np.unique(scan.ring, return_inverse=True, return_counts=True)
-    median = np.array([np.median(elevation[inverse == k]) for k in range(len(rings))])
-    off = elevation - median[inverse]
-    # The deviation from a median of three is zero for one of them; many returns in all make up for it.
+    mean = np.bincount(inverse, elevation) / counts
+    off = elevation - mean[inverse]
     freedom = len(scan) - len(rings)
     noise = float(np.sqrt((off**2).sum() / freedom)) if freedom > 0 else 0.0
     if noise < NEGLIGIBLE:
         return scan, 0.0
-    level = _known(scan, rings, median, noise / np.sqrt(counts))[inverse]
+    level = _known(scan, rings, mean, noise / np.sqrt(counts))[inverse]
     ranges = np.linalg.norm(scan.points, axis=1)
     horizontal = scan.points[:, :2] / np.maximum(flat, 1e-12)[:, None]
     points = np.column_stack([horizontal * np.cos(level)[:, None], np.sin(level)]) * ranges[:, None]
     return replace(scan, points=points), noise
 
 
-def _known(scan: Scan, rings: Floats, median: Floats, error: Floats) -> Floats:
-    """Elevation of each ring: the sensor's table where the median agrees with it, within 5 standard errors."""
+def _known(scan: Scan, rings: Ints, mean: Floats, error: Floats) -> Floats:
+    """Elevation of each ring: the sensor's table where the mean agrees with it, within 5 standard errors."""
     if scan.sensor is None or rings.max() >= scan.sensor.n_rings:
-        return median
+        return mean
     table = scan.sensor.elevations[rings]
-    return np.where(np.abs(median - table) < 5 * error, table, median)
+    return np.where(np.abs(mean - table) < 5 * error, table, mean)

@@ -51,10 +51,10 @@ def fit_plane(points: Floats, ring: Ints | None) -> ReturnsPlane:
     """
     if len(points) < 3:
         raise EstimationError(f"{len(points)} returns do not span a plane")
-    weights = np.ones(len(points))
+    weights: Floats = np.ones(len(points))
     if ring is not None:
         _, inverse, counts = np.unique(ring, return_inverse=True, return_counts=True)
-        weights = (1.0 / (1.0 + counts))[inverse]
+        weights = np.asarray((1.0 / (1.0 + counts))[inverse])
     weights /= weights.sum()
     centre = weights @ points
     centred = (points - centre) * np.sqrt(weights)[:, None]
@@ -157,7 +157,7 @@ def _minimise_on_circle(form: Floats) -> tuple[Ints, Floats]:
         d = np.stack([-s, c, zero], axis=-1)
         Fv, Fd = (F @ v[..., None])[..., 0], (F @ d[..., None])[..., 0]
         slope = (d * Fv).sum(axis=-1)
-        curvature = (d * Fd).sum(axis=-1) - ((v + [0, 0, 1]) * Fv).sum(axis=-1)
+        curvature = (d * Fd).sum(axis=-1) - ((v + np.array([0.0, 0.0, 1.0])) * Fv).sum(axis=-1)
         phi = phi - np.clip(slope / np.where(curvature > 0, curvature, np.inf), -0.1, 0.1)
     v = np.stack([np.cos(phi), np.sin(phi), -np.ones_like(phi)], axis=-1)
     cost = np.einsum("ki,kij,kj->k", v, F, v)

@@ -36,7 +36,7 @@ from optshape_graph.pose.sdp import Backend, certify
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
-MIN_EXPLAINED = 0.6
+MIN_EXPLAINED = 0.8
 """Share of ring ends that must end on the target's edges: fewer, and these are not this target's returns."""
 
 
@@ -67,7 +67,7 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     measurement = shared.marginal(1.0)
     T_target_lidar = refine(measurement)
     measurement = _widen(measurement.at(T_target_lidar), candidates, same)
-    certificate, _ = certify(measurement, T_target_lidar, weight, backend)
+    certificate = certify(measurement, T_target_lidar, weight, backend)
 
     T_lidar_target = inverse(T_target_lidar)
     information = measurement.information(T_target_lidar) + 1e-9 * np.eye(6)
@@ -160,11 +160,11 @@ def _score(problem: Problem, starts: Floats, scan: Scan) -> _Candidates:
 
     A first round tells the starts apart. A second works out the best and the associations next to it.
     """
-    first = _rank(problem, propagate(problem, starts, relinearisations=2, sweeps=3), scan)
+    first = _rank(problem, propagate(problem, starts, relinearisations=1, sweeps=2), scan)
     best = first.posterior.select(slice(0, 1))
     labels = np.vstack([best.geometry.labels, alternative_labels(problem, best, _ALTERNATIVES)])
     T = np.repeat(best.T_target_lidar, len(labels), axis=0)
-    second = _rank(problem, propagate(problem, T, relinearisations=2, labels=labels, sweeps=4), scan)
+    second = _rank(problem, propagate(problem, T, relinearisations=1, labels=labels, sweeps=4), scan)
     merged = concatenate(second.posterior, first.posterior)
     return _distinct(merged, np.concatenate([second.score, first.score]))
 
@@ -184,8 +184,11 @@ def _rank(problem: Problem, posterior: Posterior, scan: Scan) -> _Candidates:
 
 def _distinct(posterior: Posterior, score: Floats) -> _Candidates:
     """Each association once, as first listed; best first."""
-    _, firsts = np.unique(posterior.geometry.labels, axis=0, return_index=True)
-    kept = firsts[np.argsort(-score[firsts], kind="stable")]
+    firsts: dict[bytes, int] = {}
+    for k, labels in enumerate(posterior.geometry.labels):
+        firsts.setdefault(labels.tobytes(), k)
+    index = np.array(list(firsts.values()))
+    kept = index[np.argsort(-score[index], kind="stable")]
     return _Candidates(posterior.select(kept), score[kept])
 
 
@@ -194,11 +197,12 @@ def _measurement(
 ) -> tuple[BiasedMeasurement, float]:
     """All whitened rows, before shared errors are marginalised, and their total weight 1 / sigma^2.
 
-    Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely take
-    part: a weighted mean of their costs is a cost of the same form. Its minimum is near the mixture's mean where a weight is
-    the association's probability over how sure that association is of its pose, against the others.
+    Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely
+    take part: a weighted mean of their costs is a cost of the same form. Its minimum is near the mixture's mean where
+    a weight is the association's probability over how sure that association is of its pose, against the others.
 
-    The shared errors are the bias of each ring and the offset across the edges, each in units of its standard deviation.
+    The shared errors are the bias of each ring and the offset across the edges, each in units of its standard
+    deviation.
     """
     A_plane, r_plane = _plane_rows(returns)
     weight = _weights(candidates, same)

@@ -40,14 +40,27 @@ def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floa
         density_b = np.exp(-0.5 * b * b - _LOG_SQRT_2PI - log_mass)
         m = density_a - density_b
         v = 1.0 + np.where(np.isfinite(a), a * density_a, 0.0) - b * density_b - m * m
-    # Where the interval is narrow against the Gaussian, the difference of two equal numbers: uniform.
-    narrow = (width < 1e-3) | ~np.isfinite(log_mass) | ~np.isfinite(m) | ~(v > 0)
-    middle = 0.5 * (a + b)
+    # Far out the density is exponential; in a narrow interval it is uniform, which is the same with a small rate.
+    far = (b < -300) | (width < 1e-3) | ~np.isfinite(log_mass) | ~(v > 0)
+    rate = np.maximum(-0.5 * (np.maximum(a, b - 1.0) + b), 0.0)
+    tail_mean, tail_variance = _exponential_moments(rate, width)
     with np.errstate(all="ignore"):
-        log_mass = np.where(narrow, np.log(np.maximum(width, 1e-300)) - 0.5 * middle**2 - _LOG_SQRT_2PI, log_mass)
-    m = np.where(narrow, middle, np.clip(m, a, b))
-    v = np.where(narrow, width**2 / 12, np.minimum(v, width**2 / 4))
+        narrow_mass = np.log(np.maximum(width, 1e-300)) - 0.5 * (0.5 * (a + b)) ** 2 - _LOG_SQRT_2PI
+    log_mass = np.where(np.isfinite(log_mass) & (width >= 1e-3), log_mass, narrow_mass)
+    m = np.where(far, b - tail_mean, np.clip(m, a, b))
+    v = np.where(far, tail_variance, np.minimum(v, width**2 / 4))
     return log_mass, mean + sd * np.where(right, -m, m), variance * v
+
+
+def _exponential_moments(rate: Floats, width: Floats) -> tuple[Floats, Floats]:
+    """Mean and variance of the exponential density of a rate on [0, width]; uniform where rate * width is small."""
+    x = rate * width
+    flat = x < 1e-2
+    safe = np.where(flat, 1.0, x)
+    end = 1.0 / np.expm1(np.minimum(safe, 700.0))
+    mean = np.where(flat, width * (0.5 - x / 12), width * (1.0 / safe - end))
+    variance = np.where(flat, width**2 / 12, width**2 * (1.0 / safe**2 - end * (1.0 + end)))
+    return mean, np.maximum(variance, 1e-300)
 
 
 def mixture_moments(

@@ -59,9 +59,9 @@ class EdgeNoise:
 class PlaneReturns:
     """Every return against the plane of the target: e_x . (R p + t) - c, with its noise.
 
-    A range error e moves a return along its ray, and so moves the residual and the row's own coefficients together: rows
-    of the returns themselves would be biased (errors in variables), most of all across the rings, where only the
-    errors vary within a ring. So p is where the ray meets a plane near the true one, and c carries the rest.
+    A range error moves a return along its ray, and so moves the residual and the row's own coefficients together:
+    rows of the returns themselves would be biased (errors in variables), most of all across the rings, where nothing
+    but the errors varies within a ring. So p is where the ray meets a plane near the true one, and c carries the rest.
 
     Attributes:
         points: (N, 3) p, metres, LiDAR frame.

@@ -1,10 +1,10 @@
 """The method of Huang, Clark and Grizzle (Section V), for comparison.
 
-Edge points are the two ends of each ring (one where the ring has one return), unweighted and without an inset. In every
-iteration the already moved edge points are centred on their own mean, each is matched to the nearest infinite line of
-the template, and the relaxation gives an increment, accepted only where the cost falls. It stops after 15 iterations, or
-when two successive increments agree to 1e-5. The alternation is local, and its covariance, from the residuals alone, says
-nothing of that.
+Edge points are the two ends of each ring (one where the ring has one return), unweighted and without an inset. In
+every iteration the already moved edge points are centred on their own mean, each is matched to the nearest infinite
+line of the template, and the relaxation gives an increment, accepted only where the cost falls. It stops after 15
+iterations, or when two successive increments agree to 1e-5. The alternation is local, and its covariance, from the
+residuals alone, says nothing of that.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def estimate_as_paper(scan: Scan, target: Target, backend: Backend = "clarabel")
     # The residuals are the only word on the noise that this method has.
     sigma = max(1e-4, float(np.sqrt(2 * measurement.error(T) / max(measurement.n_rows - 6, 1))))
     measurement = TemplateMeasurement.from_stack(measurement.stack / sigma, measurement.n_rows, T)
-    certificate, _ = certify(measurement, T, measurement.n_rows / sigma**2, backend)
+    certificate = certify(measurement, T, measurement.n_rows / sigma**2, backend)
     information = measurement.information(T) + 1e-9 * np.eye(6)
     covariance = inverse_covariance(T, np.linalg.inv(information))
     all_labels = nearest_lines(_moved(T, edges.points), target)

@@ -2,9 +2,9 @@
 
 Each edge point says that the boundary lies in an interval along its ring (`intervals`), which is no Gaussian. What
 it says *together with all others* is close to one: expectation propagation (Minka, 2001) finds for each edge point the
-Gaussian that stands for its interval in the company of the rest. The result is both an estimate, the
-posterior mean, and a weighted least-squares problem with that solution: each edge point has an inset, the distance to the
-boundary, and a standard deviation.
+Gaussian that stands for its interval in the company of the rest. The result is both an estimate, the posterior mean,
+and a weighted least-squares problem with that solution: each edge point has an inset, the distance to the boundary, and
+a standard deviation.
 
 Unknowns: a right perturbation of T_target_lidar (6), and the offset across the edges that all edge points of a scan
 share (1). Several candidate poses are worked on at once.
@@ -144,7 +144,8 @@ def _exit_edges(yz: Floats, outward: Floats, target: Target) -> Ints:
     speed = outward @ target.normals.T
     scale = 1e-3 * np.linalg.norm(outward, axis=-1, keepdims=True)
     ahead = np.where(speed > scale, -beyond / np.maximum(speed, scale), np.inf)
-    return np.where(np.isfinite(ahead.min(axis=-1)), ahead.argmin(axis=-1), np.abs(beyond).argmin(axis=-1))
+    leaves = np.isfinite(ahead.min(axis=-1))
+    return np.asarray(np.where(leaves, ahead.argmin(axis=-1), np.abs(beyond).argmin(axis=-1)))
 
 
 def propagate(
@@ -183,7 +184,7 @@ def propagate(
 def own_variance(problem: Problem, geometry: EdgeGeometry) -> Floats:
     """(C, M) variance across the edge that is each edge point's own, quantisation apart, m2."""
     along = problem.edges.scatter * geometry.along
-    return problem.noise.floor**2 + (problem.noise.OWN * geometry.across) ** 2 + along**2
+    return np.asarray(problem.noise.floor**2 + (problem.noise.OWN * geometry.across) ** 2 + along**2)
 
 
 def _sweep(

@@ -30,15 +30,30 @@ _UPPER = np.array([(i, j) for j in range(10) for i in range(j + 1)])  # column b
 
 
 @dataclass(frozen=True, eq=False)
-class Relaxation:
-    """What the relaxation says of a quadratic cost [vec R; t; 1]^T Q [vec R; t; 1].
+class Bound:
+    """What the dual of the relaxation says of a quadratic cost [vec R; t; 1]^T Q [vec R; t; 1].
 
     Attributes:
-        T_target_lidar: (4, 4) the pose that the relaxation rounds to, a local minimum of the cost.
+        bound: no pose costs less than this.
+        second_eigenvalue: second smallest eigenvalue of Z, in the cost's unit: where it is positive and a pose's
+            cost meets the bound, no other pose attains it.
+        X: (10, 10) primal solution: x x^T of the best rotation where the relaxation is tight.
+    """
+
+    bound: float
+    second_eigenvalue: float
+    X: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxation:
+    """The pose that the relaxation rounds to, and the bound on every pose.
+
+    Attributes:
+        T_target_lidar: (4, 4) a local minimum of the cost.
         cost: the cost there.
         bound: no pose costs less than this.
-        second_eigenvalue: second smallest eigenvalue of Z, in the cost's unit: where it is positive and the
-            cost meets the bound, no other pose attains it.
+        second_eigenvalue: see `Bound`.
     """
 
     T_target_lidar: Floats
@@ -120,8 +135,9 @@ def _solve_cvxpy(Q: Floats) -> tuple[Floats, Floats]:
     except ImportError as cause:
         raise missing_extra("cvxpy", "sdp", cause) from cause
     X = cvxpy.Variable((10, 10), PSD=True)
-    equations = [cvxpy.trace(A @ X) == 0 for A in rotation_constraints()] + [X[9, 9] == 1]
-    cvxpy.Problem(cvxpy.Minimize(cvxpy.trace(Q @ X)), equations).solve(solver=cvxpy.CLARABEL)
+    equations = [cvxpy.sum(cvxpy.multiply(A, X)) == 0 for A in rotation_constraints()] + [X[9, 9] == 1]
+    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum(cvxpy.multiply(Q, X))), equations)
+    problem.solve(solver=cvxpy.CLARABEL)
     if X.value is None:
         raise EstimationError("cvxpy found no solution of the relaxation")
     return -np.array([float(equation.dual_value) for equation in equations]), np.asarray(X.value)
@@ -144,11 +160,11 @@ def eliminate_translation(Q: Floats) -> tuple[Floats, Floats]:
     # A direction that no row constrains takes t = 0 there: the smallest solution.
     K = -np.linalg.lstsq(B, Q[9:12][:, rest], rcond=1e-13)[0]
     form = Q[np.ix_(rest, rest)] + Q[rest][:, 9:12] @ K
-    return 0.5 * (form + form.T), K
+    return 0.5 * (form + form.T), np.asarray(K, dtype=np.float64)
 
 
-def solve_relaxation(Q: Floats, backend: Backend = "clarabel") -> Relaxation:
-    """Solve the relaxation of a quadratic cost over all rigid transforms.
+def lower_bound(Q: Floats, backend: Backend = "clarabel") -> Bound:
+    """Bound a quadratic cost over all rigid transforms from below.
 
     Args:
         Q: (13, 13) symmetric positive semidefinite, cost [z; 1]^T Q [z; 1], z = [vec R (column-major); t].
@@ -157,24 +173,28 @@ def solve_relaxation(Q: Floats, backend: Backend = "clarabel") -> Relaxation:
     Raises:
         EstimationError: the cost vanishes for every rotation, so there is nothing to estimate.
     """
-    form, K = eliminate_translation(Q)
+    form, _ = eliminate_translation(Q)
     scale = float(np.trace(form))
     if not (np.isfinite(scale) and scale > 0):
         raise EstimationError("the measurements constrain no rotation at all")
     scaled = form / scale
     multipliers, X = (_solve_clarabel if backend == "clarabel" else _solve_cvxpy)(scaled)
-
     Z = scaled - np.tensordot(multipliers, _dual_matrices(), axes=1)
     eigenvalues = np.linalg.eigvalsh(Z)
     bound = multipliers[-1] + _SQUARED_NORM * min(0.0, eigenvalues[0])
+    return Bound(bound * scale, float(eigenvalues[1]) * scale, X)
 
-    leading = np.linalg.eigh(X)[1][:, -1]
-    R = project_rotation((leading[:9] / leading[9]).reshape(3, 3).T)
-    R = refine_rotation(scaled, R)
+
+def solve_relaxation(Q: Floats, backend: Backend = "clarabel") -> Relaxation:
+    """Minimise a quadratic cost over all rigid transforms by its relaxation; see `lower_bound`."""
+    dual = lower_bound(Q, backend)
+    form, K = eliminate_translation(Q)
+    leading = np.linalg.eigh(dual.X)[1][:, -1]
+    R = refine_rotation(form, project_rotation((leading[:9] / leading[9]).reshape(3, 3).T))
     x = np.append(R.T.ravel(), 1.0)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, K @ x
-    return Relaxation(T, float(x @ form @ x), bound * scale, float(eigenvalues[1]) * scale)
+    return Relaxation(T, float(x @ form @ x), dual.bound, dual.second_eigenvalue)
 
 
 def refine_rotation(form: Floats, R: Floats, iterations: int = 20) -> Floats:
@@ -247,18 +267,19 @@ CERTIFIED_GAP_M2 = 1e-4**2
 
 def certify(
     measurement: TemplateMeasurement, T_target_lidar: Floats, total_weight: float, backend: Backend = "clarabel"
-) -> tuple[Certificate, Relaxation]:
+) -> Certificate:
     """Certify a pose against every other one.
 
     Args:
         measurement: the whitened rows.
         T_target_lidar: (4, 4) the pose in question.
         total_weight: sum over rows of 1 / sigma^2, 1/m2: the gap is in whitened units before it is divided by it.
-        backend: see `solve_relaxation`.
+        backend: see `lower_bound`.
+
+    Raises:
+        EstimationError: the measurement constrains no rotation at all.
     """
-    Q = measurement.quadratic()
-    relaxation = solve_relaxation(Q, backend)
-    cost = 2.0 * measurement.error(T_target_lidar)
-    gap = max(0.0, cost - relaxation.bound) / total_weight
-    second = relaxation.second_eigenvalue / total_weight
-    return Certificate(bool(gap <= CERTIFIED_GAP_M2 and second > 0), gap, second), relaxation
+    dual = lower_bound(measurement.quadratic(), backend)
+    gap = max(0.0, 2.0 * measurement.error(T_target_lidar) - dual.bound) / total_weight
+    second = dual.second_eigenvalue / total_weight
+    return Certificate(bool(gap <= CERTIFIED_GAP_M2 and second > 0), gap, second)

@@ -42,7 +42,5 @@ def test_far_tails_stay_inside() -> None:
 def test_mixture_of_one_is_that_one() -> None:
     arguments = np.array([0.3]), np.array([0.4])
     one = truncated_moments(*arguments, np.array([0.0]), np.array([1.0]))
-    twice = mixture_moments(
-        *arguments, np.zeros((2, 1)), np.ones((2, 1)), np.log(np.array([[0.25], [0.75]]))
-    )
+    twice = mixture_moments(*arguments, np.zeros((2, 1)), np.ones((2, 1)), np.log(np.array([[0.25], [0.75]])))
     np.testing.assert_allclose(np.array(one), np.array(twice), rtol=1e-12)
