@@ -1,0 +1,66 @@
+"""The house: imports point down the layers only, and heavy libraries wait until they are needed."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "optshape_graph"
+
+LAYERS = [
+    "cli", "viz", "evaluation", "calibration", "mapping", "simulation", "design", "graph", "detection", "pose",
+    "factors", "io",
+]  # fmt: skip
+"""From the top; below them are the nouns."""
+
+HEAVY = ["open3d", "cvxpy", "matplotlib", "cv2", "rosbags", "joblib", "distributed", "pyarrow", "ezc3d", "ezdxf", "scipy"]
+
+
+def imported(path: Path) -> set[str]:
+    """Modules of the package that a file imports, at its top or in its functions."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+        elif isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+    return {name for name in found if name.split(".")[0] == "optshape_graph"}
+
+
+@pytest.mark.parametrize("layer", [*LAYERS, ""])
+def test_imports_point_down(layer: str) -> None:
+    files = (PACKAGE / layer).rglob("*.py") if layer else PACKAGE.glob("*.py")
+    above = LAYERS[: LAYERS.index(layer)] if layer else LAYERS
+    for path in files:
+        for name in imported(path):
+            parts = name.split(".")
+            assert len(parts) < 2 or parts[1] not in above, f"{path.relative_to(PACKAGE)} imports {name}"
+
+
+def test_factors_know_nothing_but_the_nouns() -> None:
+    for path in (PACKAGE / "factors").glob("*.py"):
+        for name in imported(path):
+            parts = name.split(".")
+            assert len(parts) < 2 or parts[1] == "factors" or parts[1] not in LAYERS, f"{path.name} imports {name}"
+
+
+def test_top_level_factors_are_the_package_s_own() -> None:
+    link = PACKAGE.parent / "factors"
+    assert link.is_symlink()
+    assert link.resolve() == PACKAGE / "factors"
+
+
+def test_import_loads_nothing_heavy() -> None:
+    script = f"import sys, optshape_graph; print([m for m in {HEAVY + ['gtsam']} if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
+
+
+def test_version_is_stated_once() -> None:
+    import optshape_graph
+
+    pyproject = (PACKAGE.parent / "pyproject.toml").read_text()
+    assert 'dynamic = ["version"]' in pyproject
+    assert optshape_graph.__version__ not in pyproject
