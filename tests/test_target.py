@@ -24,7 +24,9 @@ def test_regular_polygons_have_n_symmetries(n: int) -> None:
         assert gaps.max() < 1e-9
 
 
-@pytest.mark.parametrize(("name", "count"), [("paper", 1), ("built", 1), ("square", 4), ("triangle", 3), ("diamond", 4)])
+@pytest.mark.parametrize(
+    ("name", "count"), [("paper", 1), ("built", 1), ("square", 4), ("triangle", 3), ("diamond", 4)]
+)
 def test_built_in_targets(name: str, count: int) -> None:
     assert len(load_target(name).symmetries) == count
 

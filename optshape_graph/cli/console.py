@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
+_FILE_WIDTH = 160
+"""Columns of a table that goes to a file or a pipe."""
+
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], note: str = "") -> None:
     """Print a table: the first column flush left, the others right.
@@ -20,13 +23,17 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
     from rich.table import Table
 
     table = Table(
-        title=title, title_justify="left", title_style="bold", caption=note or None, caption_justify="left", box=SIMPLE
-    )
+        title=title, title_justify="left", title_style="bold", caption=note or None, caption_justify="left",
+        box=SIMPLE, padding=0,
+    )  # fmt: skip
     for k, column in enumerate(columns):
-        table.add_column(column, justify="right" if k else "left", overflow="fold")
+        table.add_column(column, justify="right" if k else "left", overflow="fold", no_wrap=bool(k))
     for row in rows:
         table.add_row(*row)
-    Console().print(table)
+    console = Console()
+    if not console.is_terminal:
+        console.width = _FILE_WIDTH
+    console.print(table)
 
 
 @contextmanager

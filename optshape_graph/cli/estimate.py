@@ -22,7 +22,12 @@ if TYPE_CHECKING:
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
 @click.pass_context
 def command(
-    ctx: click.Context, scans: tuple[Path, ...], target: str, sensor: str | None, method: str, backend: str,
+    ctx: click.Context,
+    scans: tuple[Path, ...],
+    target: str,
+    sensor: str | None,
+    method: str,
+    backend: str,
     json_path: Path | None,
 ) -> int:
     """Estimate a target's pose in each SCAN (PCD, PLY, NPZ or CSV), which holds the target's returns and no others.
@@ -63,9 +68,10 @@ def command(
         write_json(json_path, {"schema": "optshape/estimate/1", "scans": entries})
     print_table(
         f"{template.name}: T_lidar_target",
-        ["scan", "status", "x [m]", "y [m]", "z [m]", "± mm", "± deg", "certified", "margin", "returns"],
+        ["scan", "status", "x [m]", "y [m]", "z [m]", "± mm", "± deg", "cert.", "margin", "returns"],
         rows,
-        "±: largest standard deviation of position and rotation. margin: log likelihood to the best other pose.",
+        "±: largest standard deviation of position and rotation. cert.: globally optimal. "
+        "margin: log likelihood to the best different pose.",
     )
     for reason in reasons:
         click.echo(f"optshape: {reason}", err=True)
@@ -113,7 +119,7 @@ def _row(path: Path, estimate: PoseEstimate) -> list[str]:
 
     sd = np.sqrt(np.diag(estimate.covariance))
     t = estimate.T_lidar_target[:3, 3]
-    margin = "" if estimate.ambiguity.T_lidar_target is None else f"{estimate.ambiguity.margin:.3g}"
+    margin = "" if estimate.ambiguity.T_lidar_target is None else f"{min(estimate.ambiguity.margin, 999):.0f}"
     usable = estimate.status != "failed"
     return [
         path.name,

@@ -12,6 +12,7 @@ from optshape_graph.cli.lazy import LazyGroup
 
 COMMANDS = {
     "estimate": "optshape_graph.cli.estimate",
+    "detect": "optshape_graph.cli.detect",
     "calibrate": "optshape_graph.cli.calibrate",
     "design": "optshape_graph.cli.design",
     "simulate": "optshape_graph.cli.simulate",
@@ -22,6 +23,7 @@ COMMANDS = {
 
 HELP = {
     "estimate": "Estimate a target's pose in scans that hold its returns.",
+    "detect": "Find targets in full scans, and tell them apart by shape.",
     "calibrate": "Calibrate a LiDAR to motion capture, or to a camera.",
     "design": "Design target shapes: find one, judge them, draw one at 1:1.",
     "simulate": "Simulate a scan of a target or a scene, with known truth.",
