@@ -16,7 +16,7 @@ import numpy as np
 from gtsam.symbol_shorthand import E, H, M, S
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.mocap_comparison import MocapScan, ScanError, in_sample, leave_one_out, tie
+from optshape_graph.calibration.mocap_comparison import MocapScan, ScanError, in_sample, leave_one_out, name_alike, tie
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import CheckedFactor, TemplateFactor
 from optshape_graph.factors.se3 import inverse, inverse_covariance, skew
@@ -97,6 +97,7 @@ def calibrate_mocap(
     if any(not np.array_equal(scan.estimate.target.vertices, target.vertices) for scan in scans):
         raise InputError("a motion-capture calibration is of one target; the scans have several")
 
+    scans = name_alike(scans)
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     values.insert(E(0), gtsam.Pose3(tie(scans)))
     for k, vertex in enumerate(target.vertices):

@@ -9,7 +9,7 @@ in-sample ones, which an estimator flatters itself with.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import gtsam
@@ -52,7 +52,7 @@ class ScanError:
         scan: its name.
         rmse_m: root mean square distance of the vertices, metres (the paper's equation for RMSE).
         e_t_m: distance of the target origins, metres.
-        e_r_deg: angle between the rotations, degrees, modulo the target's symmetries.
+        e_r_deg: angle between the rotations, degrees.
     """
 
     scan: str
@@ -131,6 +131,8 @@ def assign_markers(target: Target, frames: Sequence[Floats]) -> tuple[int, ...]:
 def leave_one_out(scans: Sequence[MocapScan]) -> tuple[ScanError, ...]:
     """Compare each scan with its markers, the frames tied by all other scans.
 
+    Of a symmetric target, `name_alike` goes first.
+
     Raises:
         InputError: fewer than two scans.
     """
@@ -141,8 +143,27 @@ def leave_one_out(scans: Sequence[MocapScan]) -> tuple[ScanError, ...]:
 
 def in_sample(scans: Sequence[MocapScan]) -> tuple[ScanError, ...]:
     """Compare each scan with its markers, the frames tied by all scans, the compared one included."""
-    T_lidar_mocap = tie(scans)
-    return tuple(_error(scan, T_lidar_mocap) for scan in scans)
+    return _compare(scans, tie(scans))
+
+
+def name_alike(scans: Sequence[MocapScan]) -> tuple[MocapScan, ...]:
+    """Name the vertices of a symmetric target as its markers do: in each scan the equivalent estimate that fits.
+
+    The first scan's choice fixes the frames, and with them the others': all its choices are tried.
+    """
+    target = scans[0].estimate.target
+    if len(target.symmetries) == 1:
+        return tuple(scans)
+    candidates = []
+    for k in range(len(target.symmetries)):
+        T_lidar_mocap = scans[0].estimate.equivalent_poses[k] @ np.linalg.inv(scans[0].T_mocap_target)
+        named = []
+        for scan in scans:
+            predicted = (T_lidar_mocap @ scan.T_mocap_target)[:3, :3]
+            agreement = np.einsum("kij,ij->k", scan.estimate.equivalent_poses[:, :3, :3], predicted)
+            named.append(replace(scan, estimate=scan.estimate.equivalent(int(agreement.argmax()))))
+        candidates.append((sum(error.rmse_m**2 for error in _compare(named, tie(named))), k, tuple(named)))
+    return min(candidates)[2]
 
 
 def tie(scans: Sequence[MocapScan]) -> Floats:
@@ -162,19 +183,19 @@ def mean_error(errors: Sequence[ScanError]) -> ScanError:
     )
 
 
+def _compare(scans: Sequence[MocapScan], T_lidar_mocap: Floats) -> tuple[ScanError, ...]:
+    return tuple(_error(scan, T_lidar_mocap) for scan in scans)
+
+
 def _error(scan: MocapScan, T_lidar_mocap: Floats) -> ScanError:
     truth = T_lidar_mocap @ scan.T_mocap_target
     target = scan.estimate.target
 
-    def errors(T: Floats) -> tuple[float, float]:
-        rmse = np.sqrt(np.mean(np.sum((_apply(T, target.vertices) - _apply(truth, target.vertices)) ** 2, axis=1)))
-        angle = np.linalg.norm(gtsam.Rot3.Logmap(gtsam.Rot3(truth[:3, :3].T @ T[:3, :3])))
-        return float(rmse), float(angle)
-
-    # A symmetric target is where any of its equivalent poses is.
-    rmse, angle = min(errors(T) for T in scan.estimate.equivalent_poses)
-    e_t = float(np.linalg.norm(scan.estimate.T_lidar_target[:3, 3] - truth[:3, 3]))
-    return ScanError(scan.name, rmse, e_t, float(np.degrees(angle)))
+    T = scan.estimate.T_lidar_target
+    rmse = np.sqrt(np.mean(np.sum((scan.estimate.vertices - _apply(truth, target.vertices)) ** 2, axis=1)))
+    angle = np.linalg.norm(gtsam.Rot3.Logmap(gtsam.Rot3(truth[:3, :3].T @ T[:3, :3])))
+    e_t = np.linalg.norm(T[:3, 3] - truth[:3, 3])
+    return ScanError(scan.name, float(rmse), float(e_t), float(np.degrees(angle)))
 
 
 def _apply(T: Floats, points: Floats) -> Floats:

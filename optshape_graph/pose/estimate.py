@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Ints, frozen
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.measurement import TemplateMeasurement
-from optshape_graph.factors.se3 import inverse, inverse_covariance
+from optshape_graph.factors.se3 import adjoint, inverse, inverse_covariance
 from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.pose.sdp import Certificate
 from optshape_graph.target import Target
@@ -134,6 +134,22 @@ class PoseEstimate:
         poses = np.tile(self.T_lidar_target, (len(self.target.symmetries), 1, 1))
         poses[:, :3, :3] = self.T_lidar_target[:3, :3] @ np.array(self.target.symmetry_rotations)
         return poses
+
+    def equivalent(self, k: int) -> PoseEstimate:
+        """Return this estimate with the vertices named otherwise: `equivalent_poses[k]`, and all that goes with it."""
+        turn = np.eye(4)
+        turn[:3, :3] = self.target.symmetry_rotations[k]
+        Ad = adjoint(inverse(turn))
+        normals = self.target.normals @ turn[1:3, 1:3]  # of each edge, in the turned target's frame
+        renamed = (normals @ self.target.normals.T).argmax(axis=1)
+        return replace(
+            self,
+            T_lidar_target=self.T_lidar_target @ turn,
+            covariance=Ad @ self.covariance @ Ad.T,
+            measurement=self.measurement.substituted(turn),
+            shared=None,
+            labels=renamed[self.labels],
+        )
 
     @property
     def inset_rad(self) -> float:

@@ -18,6 +18,7 @@ from optshape_graph.calibration.mocap_comparison import (
     in_sample,
     leave_one_out,
     mean_error,
+    name_alike,
 )
 from optshape_graph.io import load_target
 from optshape_graph.pose import estimate_pose
@@ -75,14 +76,30 @@ def test_a_wrong_scan_shows_in_full_only_when_left_out() -> None:
     assert in_sample(scans)[1].e_t_m < 0.075
 
 
-def test_symmetric_targets_are_compared_modulo_their_symmetry() -> None:
-    scans = perfect_scans(3, np.eye(4), "square")
-    quarter = np.eye(4)
-    quarter[:3, :3] = scans[0].estimate.target.symmetry_rotations[1]
-    turned = replace(scans[0].estimate, T_lidar_target=scans[0].estimate.T_lidar_target @ quarter)
-    errors = in_sample([replace(scans[0], estimate=turned), *scans[1:]])
-    # The frame is tied with vertices in the listed order, so the turned scan disturbs it; its own error stays small.
-    assert errors[0].e_r_deg < 45
+def test_symmetric_targets_are_named_as_their_markers() -> None:
+    scans = perfect_scans(4, random_pose(np.random.default_rng(5)), "square")
+    shuffled = [replace(scan, estimate=scan.estimate.equivalent(k)) for k, scan in enumerate(scans)]
+    assert max(e.e_r_deg for e in in_sample(shuffled)) > 40
+    errors = leave_one_out(name_alike(shuffled))
+    assert max(max(e.rmse_m, e.e_t_m, e.e_r_deg) for e in errors) < 1e-6
+
+
+def test_equivalent_estimates_describe_the_same_thing() -> None:
+    estimate = estimate_pose(simulated(6.0, (5, 0, 0), 2, "square")[0], load_target("square"))
+    other = estimate.equivalent(1)
+    gaps = np.linalg.norm(estimate.vertices[:, None] - other.vertices[None], axis=-1).min(axis=1)
+    assert gaps.max() < 1e-9
+    assert other.measurement.error(other.T_target_lidar) == pytest.approx(
+        estimate.measurement.error(estimate.T_target_lidar)
+    )
+    np.testing.assert_allclose(
+        np.linalg.inv(other.measurement.information(other.T_target_lidar)), other.covariance_target_lidar, rtol=1e-3
+    )
+    # The same edge points are on the same lines, whatever these are called.
+    for e in (estimate, other):
+        moved_points = moved(e.T_target_lidar, e.edge_points.points)[:, 1:]
+        distance = (e.target.normals[e.labels] * moved_points).sum(axis=1) - e.target.offsets[e.labels]
+        assert np.abs(distance).max() < 0.1
 
 
 def test_missing_markers() -> None:
