@@ -112,7 +112,7 @@ def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> F
 
     by_t, rest = G[:, 2:4, 2:4] + 1e-9 * len(q) * np.eye(2), G[:, [0, 1, 4]][:, :, [0, 1, 4]]
     cross = G[:, 2:4][:, :, [0, 1, 4]]
-    K = np.linalg.solve(by_t, cross)
+    K = _solve_2x2(by_t, cross)
     form = rest - np.swapaxes(cross, 1, 2) @ K
     which, angle = _minimise_on_circle(form)
     K = K[which]
@@ -125,6 +125,15 @@ def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> F
     far = _first_different((turned < np.radians(15.0)) & (moved < 0.3), FAR)
     chosen = np.union1d(near, far)
     return _poses(angle[chosen], t[chosen], plane)
+
+
+def _solve_2x2(A: Floats, B: Floats) -> Floats:
+    """Solve systems (K, 2, 2) with right-hand sides (K, 2, n) in closed form."""
+    adjugate = np.empty_like(A)
+    adjugate[:, 0, 0], adjugate[:, 1, 1] = A[:, 1, 1], A[:, 0, 0]
+    adjugate[:, 0, 1], adjugate[:, 1, 0] = -A[:, 0, 1], -A[:, 1, 0]
+    determinant = A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
+    return np.asarray(adjugate @ B / determinant[:, None, None])
 
 
 def _rings_that_fit(n_edges: int, n_rings: int) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats
@@ -58,16 +59,18 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     edges = extract_edge_points(scan, angular_noise)
     plane = fit_plane(scan.points, scan.ring)
     returns = returns_on_plane(scan.points, scan.ring, plane.axes[0], plane.distance, scan.sensor, angular_noise)
-    problem = Problem(edges, target, _plane_form(returns), EdgeNoise.of(scan.sensor))
+    on_plane = _plane_measurement(returns)
+    problem = Problem(edges, target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor))
     starts = enumerate_poses(edges, plane, target)
     candidates = _score(problem, _upright(starts, target), scan)
 
     same = _same_mode(candidates.posterior, target)
-    shared, weight = _measurement(problem, candidates, same, returns)
+    on_edges, edge_weight = _edge_measurement(problem, candidates, same)
+    shared = on_edges + on_plane
     measurement = shared.marginal(1.0)
     T_target_lidar = refine(measurement)
     measurement = _widen(measurement.at(T_target_lidar), candidates, same)
-    certificate = certify(measurement, T_target_lidar, weight, backend)
+    certificate = certify(measurement, T_target_lidar, edge_weight + float((1 / returns.sigma**2).sum()), backend)
 
     T_lidar_target = inverse(T_target_lidar)
     information = measurement.information(T_target_lidar) + 1e-9 * np.eye(6)
@@ -108,8 +111,6 @@ def refine(measurement: TemplateMeasurement, iterations: int = 20) -> Floats:
 
     Gauss-Newton steps on the compressed rows, with Levenberg's damping where they do not lead down.
     """
-    import gtsam
-
     T, damping = measurement.T_target_lidar, 1e-12
     error = measurement.error(T)
     for _ in range(iterations):
@@ -128,17 +129,14 @@ def refine(measurement: TemplateMeasurement, iterations: int = 20) -> Floats:
     return np.asarray(T)
 
 
-def _plane_rows(returns: PlaneReturns) -> tuple[Floats, Floats]:
-    """Whitened rows (N, 12), (N,) of the returns against the plane."""
+def _plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
+    """Returns against the target's plane, before the bias of each ring, in standard deviations, is marginalised."""
     normals = np.broadcast_to([1.0, 0.0, 0.0], returns.points.shape)
     A, r = template_rows(returns.points, normals, returns.offset)
-    return A / returns.sigma[:, None], r / returns.sigma
-
-
-def _plane_form(returns: PlaneReturns) -> Floats:
-    """(13, 13) quadratic form in [z; 1] of the returns' distances from the plane, ring biases marginalised."""
-    A, r = _plane_rows(returns)
-    return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4)).marginal(1.0).quadratic()
+    names = [f"range bias of ring {k}" for k in returns.rings]
+    return BiasedMeasurement.from_rows(
+        A / returns.sigma[:, None], returns.bias, r / returns.sigma, np.eye(4), shared=names
+    )
 
 
 def _upright(T: Floats, target: Target) -> Floats:
@@ -192,41 +190,39 @@ def _distinct(posterior: Posterior, score: Floats) -> _Candidates:
     return _Candidates(posterior.select(kept), score[kept])
 
 
-def _measurement(
-    problem: Problem, candidates: _Candidates, same: Bools, returns: PlaneReturns
-) -> tuple[BiasedMeasurement, float]:
-    """All whitened rows, before shared errors are marginalised, and their total weight 1 / sigma^2.
+def _edge_measurement(problem: Problem, candidates: _Candidates, same: Bools) -> tuple[BiasedMeasurement, float]:
+    """Boundary points against their edges, before the offset that they share is marginalised; and their weight.
 
     Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely
     take part: a weighted mean of their costs is a cost of the same form. Its minimum is near the mixture's mean where
     a weight is the association's probability over how sure that association is of its pose, against the others.
 
-    The shared errors are the bias of each ring and the offset across the edges, each in units of its standard
-    deviation.
+    Returns:
+        The measurement, and the sum of 1 / sigma^2, 1/m2.
     """
-    A_plane, r_plane = _plane_rows(returns)
     weight = _weights(candidates, same)
     covariance = candidates.posterior.covariance
     mean = np.einsum("c,cij->ij", weight, covariance)
     weight = weight / np.trace(np.linalg.solve(covariance, mean), axis1=1, axis2=2)
     weight /= weight.sum()
-    stacks, total = [], float((1 / returns.sigma**2).sum())
+    rows, total = [], 0.0
     for k in np.flatnonzero(weight):
         one = candidates.posterior.select(slice(k, k + 1))
         geometry, sigma = one.geometry, one.sigma[0]
         boundary = problem.edges.points + one.inset[0][:, None] * problem.edges.outward(one.T_target_lidar[0, 0, :3])
         A, r = template_rows(boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]])
-        columns = np.zeros((len(A), returns.bias.shape[1] + 1))
-        columns[:, -1] = geometry.across[0] * problem.noise.COMMON / sigma
-        rows = np.column_stack([columns, A / sigma[:, None], r / sigma])
-        stacks.append(np.sqrt(weight[k]) * rows)
+        offset = geometry.across[0] * problem.noise.COMMON
+        rows.append(np.sqrt(weight[k]) * np.column_stack([offset, A, r]) / sigma[:, None])
         total += float(weight[k] * (1 / sigma**2).sum())
-    edge_rows = np.vstack(stacks)
-    A, r = np.vstack([edge_rows[:, -13:-1], A_plane]), np.concatenate([edge_rows[:, -1], r_plane])
-    columns = np.vstack([edge_rows[:, :-13], np.column_stack([returns.bias, np.zeros(len(r_plane))])])
-    names = [*(f"range bias of ring {k}" for k in range(returns.bias.shape[1])), "offset across edges"]
-    shared = BiasedMeasurement.from_rows(A, columns, r, candidates.posterior.T_target_lidar[0], shared=names)
-    return replace(shared, n_rows=len(problem.edges) + len(r_plane)), total
+    stack = np.vstack(rows)
+    measurement = BiasedMeasurement.from_rows(
+        stack[:, 1:13],
+        stack[:, :1],
+        stack[:, 13],
+        candidates.posterior.T_target_lidar[0],
+        shared=["offset across edges"],
+    )
+    return replace(measurement, n_rows=len(problem.edges)), total
 
 
 def _weights(candidates: _Candidates, same: Bools) -> Floats:
@@ -269,9 +265,7 @@ def _widen(measurement: TemplateMeasurement, candidates: _Candidates, same: Bool
 
 def _log(T: Floats) -> Floats:
     """Tangent vectors (C, 6), rotation first, of transforms (C, 4, 4)."""
-    from scipy.spatial.transform import RigidTransform
-
-    return np.asarray(RigidTransform.from_matrix(T).as_exp_coords())
+    return np.array([gtsam.Pose3.Logmap(gtsam.Pose3(M)) for M in T])
 
 
 def _ambiguity(candidates: _Candidates, same: Bools) -> Ambiguity:

@@ -67,12 +67,14 @@ class PlaneReturns:
         points: (N, 3) p, metres, LiDAR frame.
         offset: (N,) c, metres.
         sigma: (N,) standard deviation of each residual, metres.
+        rings: (R,) the rings that hit the target.
         bias: (N, R) how far a standard deviation of each ring's bias moves each residual, in units of `sigma`.
     """
 
     points: Floats
     offset: Floats
     sigma: Floats
+    rings: Ints
     bias: Floats
 
 
@@ -86,7 +88,7 @@ def returns_on_plane(
         ring: (N,), or None: one bias for all.
         normal: (3,) unit normal of the plane, LiDAR frame.
         distance: of the plane from the sensor along the normal, metres.
-        sensor: its range noise and ring bias, and how many rings it has; None: a centimetre each.
+        sensor: its range noise and ring bias; None: a centimetre each.
         azimuth_noise: standard deviation of one azimuth, rad.
     """
     range_noise, ring_bias = (sensor.range_noise, sensor.ring_bias) if sensor else (0.01, 0.01)
@@ -94,7 +96,7 @@ def returns_on_plane(
     cosine = np.abs(along) / np.linalg.norm(points, axis=1)
     sideways = np.abs(points[:, 0] * normal[1] - points[:, 1] * normal[0])  # off the plane per radian of azimuth
     sigma = np.sqrt((range_noise * cosine) ** 2 + (azimuth_noise * sideways) ** 2 + FLATNESS**2)
-    index = np.zeros(len(points), dtype=np.int64) if ring is None else ring
-    bias = np.zeros((len(points), max(int(index.max()) + 1, sensor.n_rings if sensor else 1)))
-    bias[np.arange(len(points)), index] = ring_bias * cosine / sigma
-    return PlaneReturns(points * (distance / along)[:, None], distance - along, sigma, bias)
+    rings, column = np.unique(np.zeros(len(points), int) if ring is None else ring, return_inverse=True)
+    bias = np.zeros((len(points), len(rings)))
+    bias[np.arange(len(points)), column] = ring_bias * cosine / sigma
+    return PlaneReturns(points * (distance / along)[:, None], distance - along, sigma, rings, bias)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
@@ -287,6 +288,4 @@ def _intervals(along: Floats, edges: EdgePoints) -> tuple[Floats, Floats, Floats
 
 def _exp(xi: Floats) -> Floats:
     """Exponential maps (C, 4, 4) of tangent vectors (C, 6), rotation first."""
-    from scipy.spatial.transform import RigidTransform
-
-    return np.asarray(RigidTransform.from_exp_coords(xi).as_matrix())
+    return np.array([gtsam.Pose3.Expmap(x).matrix() for x in xi])
