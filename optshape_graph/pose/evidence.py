@@ -54,11 +54,11 @@ def missed_rings(edges: EdgePoints, sensor: SensorModel, vertices: Floats, lost_
         vertices: (C, n, 3) of the target, LiDAR frame, metres.
         lost_width: (C,) how much narrower the target seems to the rings, beside quantisation, rad.
     """
-    hit = np.unique(edges.ring)
-    missed = np.setdiff1d(np.arange(sensor.n_rings), hit)
-    inner = (missed > hit[0]) & (missed < hit[-1])
-    lost = (inner.sum() + 1.0) / (hit[-1] - hit[0] + 10.0)
-    right, left = chords(vertices, sensor.elevations[missed[~inner]], edges.reference_azimuth)
+    lowest, highest = edges.ring[0], edges.ring[-1]
+    between = highest - lowest + 1
+    lost = (between - edges.n_rings + 1.0) / (between + 9.0)
+    outer = np.delete(sensor.elevations, slice(lowest, highest + 1))
+    right, left = chords(vertices, outer, edges.reference_azimuth)
     with np.errstate(invalid="ignore"):
         steps = np.nan_to_num((left - right - lost_width[:, None]) / edges.azimuth_step, neginf=0.0)
     unseen = np.clip(1.0 - steps, 0.0, 1.0)

@@ -16,7 +16,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
 
-MAX_LABELLINGS = 3_000
+MAX_LABELLINGS = 800
 """Beyond this many, the enumeration works on fewer rings, evenly picked."""
 
 

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -32,18 +33,23 @@ def seconds(*functions: Callable[[], object], runs: int = 15) -> np.ndarray:
 
 
 def test_one_certified_pose_of_twelve_rings() -> None:
+    """Medians over scans face-on and angled: the alternation takes more or fewer iterations, ours always the same."""
     target = load_target("paper")
-    scan, _ = simulated(10.0, seed=11)
-    assert scan.ring is not None
-    rings = np.unique(scan.ring)
-    scan = scan.select(np.isin(scan.ring, rings[:12]))
-    form, _ = eliminate_translation(estimate_pose(scan, target).measurement.quadratic())
-    form /= np.trace(form)
-    ours, paper, solves = seconds(
-        lambda: estimate_pose(scan, target),
-        lambda: estimate_pose(scan, target, method="paper", backend="cvxpy"),
-        lambda: [_solve_clarabel(form) for _ in range(5)],
-    ).T
+    rows = []
+    for seed in range(8):
+        scan, _ = simulated(10.0, (20, 30, 30) if seed % 2 else (0, 0, 0), seed)
+        assert scan.ring is not None
+        scan = scan.select(np.isin(scan.ring, np.unique(scan.ring)[:12]))
+        form, _ = eliminate_translation(estimate_pose(scan, target).measurement.quadratic())
+        form /= np.trace(form)
+        times = seconds(
+            partial(estimate_pose, scan, target),
+            partial(estimate_pose, scan, target, method="paper", backend="cvxpy"),
+            partial(solve_five, form),
+            runs=5,
+        )
+        rows.append(np.median(times, axis=0))
+    ours, paper, solves = np.array(rows).T
     against_paper, against_solves = np.median(paper / ours), np.median(ours / solves)
     print(
         f"\none certified pose, 12 rings: {1e3 * np.median(ours):.1f} ms; "
@@ -51,6 +57,12 @@ def test_one_certified_pose_of_twelve_rings() -> None:
         f"{against_solves:.2f} x the time of 5 bare Clarabel solves"
     )
     assert against_paper >= 8
+
+
+def solve_five(form: np.ndarray) -> None:
+    """The bare relaxation, five times."""
+    for _ in range(5):
+        _solve_clarabel(form)
 
 
 def test_import_and_help() -> None:
