@@ -22,12 +22,10 @@ def command(session: Path, estimate_scale: bool, json_path: Path | None) -> int:
     Errors are leave-one-out: each scan is compared in a frame fitted to the other scans. Exit status 3: some scans took
     no part; the results of the others are written.
     """
-    import numpy as np
-
     from optshape_graph.calibration.mocap import calibrate_mocap
     from optshape_graph.calibration.mocap_comparison import mean_error
     from optshape_graph.calibration.mocap_session import load_mocap_scans
-    from optshape_graph.cli.console import print_table, progress_bar
+    from optshape_graph.cli.console import print_table, print_transform, progress_bar
     from optshape_graph.io import load_session
     from optshape_graph.io.documents import write_json
 
@@ -36,7 +34,6 @@ def command(session: Path, estimate_scale: bool, json_path: Path | None) -> int:
     for item in left_out:
         click.echo(f"optshape: left out {item.scan}: {item.reason}", err=True)
     result = calibrate_mocap(scans, estimate_scale=estimate_scale)
-    sd = np.sqrt(np.diag(result.covariance))
     document: dict[str, Any] = {
         "schema": "optshape/mocap/1",
         "protocol": "leave-one-out",
@@ -59,13 +56,15 @@ def command(session: Path, estimate_scale: bool, json_path: Path | None) -> int:
     if json_path:
         write_json(json_path, document)
     _print_errors(print_table, result.leave_one_out, result.in_sample)
-    print_table(
-        "T_lidar_mocap (motion-capture points into the LiDAR frame; T_mocap_lidar is its inverse)",
-        ["row", "", "", "", ""],
-        [[str(k), *(f"{value:.6f}" for value in row)] for k, row in enumerate(result.T_lidar_mocap)],
-        f"sd, motion-capture frame: rotation {_list(np.degrees(sd[:3]), 2)} deg, "
-        f"translation {_list(1e3 * sd[3:], 1)} mm" + (f"; scale {result.scale:.4f}" if estimate_scale else ""),
+    if estimate_scale:
+        click.echo(f"scale of the motion capture: {result.scale:.4f} +- {result.scale_sigma:.4f}\n")
+    print_transform(
+        "T_lidar_mocap", "motion-capture points into the LiDAR frame", result.T_lidar_mocap, result.covariance
     )
+    print_transform(
+        "T_mocap_lidar", "LiDAR points into the motion-capture frame", result.T_mocap_lidar,
+        result.covariance_mocap_lidar,
+    )  # fmt: skip
     return 3 if left_out else 0
 
 
@@ -91,7 +90,3 @@ def _entry(error: ScanError) -> dict[str, Any]:
 
 def _numbers(error: ScanError) -> dict[str, float]:
     return {"rmse_m": error.rmse_m, "e_t_m": error.e_t_m, "e_r_deg": error.e_r_deg}
-
-
-def _list(values: Any, digits: int) -> str:
-    return " ".join(f"{value:.{digits}f}" for value in values)

@@ -4,6 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 _FILE_WIDTH = 160
 """Columns of a table that goes to a file or a pipe."""
@@ -34,6 +41,25 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
     if not console.is_terminal:
         console.width = _FILE_WIDTH
     console.print(table)
+
+
+def print_transform(name: str, meaning: str, T: NDArray[np.float64], covariance: NDArray[np.float64]) -> None:
+    """Print a rigid transform and its standard deviations.
+
+    Args:
+        name: T_a_b.
+        meaning: which points it maps where.
+        T: (4, 4).
+        covariance: (6, 6) of its right perturbation, rotation first.
+    """
+    import numpy as np
+
+    sd = np.sqrt(np.diag(covariance))
+    lines = ["  ".join(f"{value:10.6f}" for value in row) for row in T]
+    rotation, translation = (" ".join(f"{value:.3g}" for value in part) for part in (np.degrees(sd[:3]), 1e3 * sd[3:]))
+    click.echo(f"{name}: {meaning}")
+    click.echo("\n".join(lines))
+    click.echo(f"  sd: rotation {rotation} deg, translation {translation} mm\n")
 
 
 @contextmanager
