@@ -17,6 +17,7 @@ COMMANDS = {
     "design": "optshape_graph.cli.design",
     "simulate": "optshape_graph.cli.simulate",
     "extract": "optshape_graph.cli.extract",
+    "map": "optshape_graph.cli.map",
     "evaluate": "optshape_graph.cli.evaluate",
 }
 """Command name to the module that defines it as `command`; imported when it is called."""
@@ -28,6 +29,7 @@ HELP = {
     "design": "Design target shapes: find one, judge them, draw one at 1:1.",
     "simulate": "Simulate a scan of a target or a scene, with known truth.",
     "extract": "Cut a session out of a bag or a folder of clouds: scans, images, markers.",
+    "map": "Map targets and a trajectory out of a bag, a folder of clouds or a session.",
     "evaluate": "Measure how good the estimates are, beside what the paper reports.",
 }
 """One line per command, so that `optshape --help` imports none of them."""

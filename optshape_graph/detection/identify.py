@@ -1,0 +1,131 @@
+"""Which target a surface is: each of the right size is fitted, what does not fit goes, the likeliest remains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from optshape_graph._arrays import Floats, Ints
+from optshape_graph.detection.candidates import Candidate
+from optshape_graph.detection.judge import edge_margin, judge, objection, returns_of
+from optshape_graph.detection.results import Detection, Evidence, Rejection
+from optshape_graph.detection.runs import ring_ends
+from optshape_graph.detection.segments import Sweep
+from optshape_graph.detection.size import Size
+from optshape_graph.errors import EstimationError
+from optshape_graph.pose import PoseEstimate, estimate_pose
+from optshape_graph.pose.estimate import AMBIGUITY_MARGIN
+from optshape_graph.scan import Scan
+from optshape_graph.target import Target
+
+ROUNDS = 3
+"""How often the returns are chosen again by the pose that they gave, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """One target fitted to a candidate: rows of the sweep taken for its returns, pose, evidence."""
+
+    rows: Ints
+    estimate: PoseEstimate
+    evidence: Evidence
+
+
+def identify(
+    scan: Scan, sweep: Sweep, candidate: Candidate, targets: Sequence[Target], sizes: Sequence[Size]
+) -> tuple[Detection | None, list[Rejection]]:
+    """Find the target that a candidate is.
+
+    Args:
+        scan: what it was found in.
+        sweep: the same, ordered.
+        candidate: a surface.
+        targets: those it may be.
+        sizes: of each.
+
+    Returns:
+        The detection, if any, and why it is none of the other targets.
+    """
+    fits: list[_Fit] = []
+    rejected: list[Rejection] = []
+    for target, size in zip(targets, sizes, strict=True):
+        fit = _compare(scan, sweep, candidate, target, size)
+        if isinstance(fit, str):
+            rejected.append(rejection(candidate, fit, target.name))
+        else:
+            fits.append(fit)
+    if not fits:
+        return None, rejected
+    likelihoods = _likelihoods(scan, sweep, fits)
+    order = np.argsort(-likelihoods, kind="stable")
+    best = fits[order[0]]
+    rival = fits[order[1]].estimate.target if len(fits) > 1 else None
+    margin = float(likelihoods[order[0]] - likelihoods[order[1]]) if len(fits) > 1 else np.inf
+    status, reason = best.estimate.status, best.estimate.reason
+    if rival is not None and margin < AMBIGUITY_MARGIN:
+        status, reason = "ambiguous", f"target '{rival.name}' is only {margin:.2g} less likely (log likelihood)"
+    indices = np.sort(sweep.index[best.rows])
+    target = best.estimate.target
+    return Detection(target, best.estimate, indices, best.evidence, rival, margin, status, reason), rejected
+
+
+def rejection(candidate: Candidate, reason: str, target: str = "") -> Rejection:
+    """Say why a candidate is not a target, or none of them."""
+    return Rejection(
+        reason=reason,
+        target=target,
+        centre=candidate.plane.centre,
+        n_returns=len(candidate.rows),
+        n_rings=candidate.n_rings,
+        area=candidate.area,
+    )
+
+
+def _compare(scan: Scan, sweep: Sweep, candidate: Candidate, target: Target, size: Size) -> _Fit | str:
+    """Fit a target to a candidate, or say why it is not that target."""
+    problem = size.objection(candidate)
+    if problem:
+        return problem
+    fit = _fit(scan, sweep, candidate, candidate.rows, target)
+    if isinstance(fit, str) and len(candidate.core) < len(candidate.rows):
+        # A bit of a stand can pass for the tip of a target. Without it the pose may be found, and then the true tips.
+        again = _fit(scan, sweep, candidate, candidate.core, target)
+        return fit if isinstance(again, str) else again
+    return fit
+
+
+def _fit(scan: Scan, sweep: Sweep, candidate: Candidate, rows: Ints, target: Target) -> _Fit | str:
+    """Estimate the pose; what lies outside the outline it gives goes, what lies inside comes, until the ends rest."""
+    for _ in range(ROUNDS):
+        try:
+            estimate = estimate_pose(scan.select(sweep.index[rows]), target)
+        except EstimationError as error:
+            return str(error)
+        margin = edge_margin(sweep, estimate)
+        inside = returns_of(sweep, estimate, margin)
+        if len(inside) == 0:
+            return "none of its returns lies inside the outline at the pose they give"
+        if np.array_equal(ring_ends(sweep, inside), ring_ends(sweep, rows)):
+            break
+        rows = inside
+    # A pose that is not determined is no objection to the target being there.
+    if estimate.status == "failed" and not estimate.unobservable:
+        return estimate.reason
+    evidence = judge(sweep, candidate.rows, inside, estimate, margin)
+    return objection(evidence) or _Fit(inside, estimate, evidence)
+
+
+def _likelihoods(scan: Scan, sweep: Sweep, fits: Sequence[_Fit]) -> Floats:
+    """Log likelihood of each fit; where they differ about which returns are theirs, of the returns they agree on."""
+    if len(fits) == 1:
+        return np.array([fits[0].estimate.log_likelihood])
+    ends = [ring_ends(sweep, fit.rows) for fit in fits]
+    if all(np.array_equal(one, ends[0]) for one in ends):
+        return np.array([fit.estimate.log_likelihood for fit in fits])
+    common = fits[0].rows
+    for fit in fits[1:]:
+        common = np.intersect1d(common, fit.rows)
+    returns = scan.select(sweep.index[common])
+    return np.array([estimate_pose(returns, fit.estimate.target).log_likelihood for fit in fits])

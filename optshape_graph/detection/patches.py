@@ -1,0 +1,183 @@
+"""Planar patches: ring segments that lie in one plane, one above the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph.detection.segments import STEEPEST, Sweep
+
+FEWEST_RETURNS = 3
+"""Returns of a segment that has a direction."""
+
+RINGS_APART = 2
+"""Segments are neighbours up to this many rings apart: a ring on a target may have no return at all."""
+
+TILT_WINDOW = np.radians(20.0)
+"""Segments that agree this well about the tilt of the plane through a segment are taken for one plane's."""
+
+TILT_BASELINE_SIGMAS = 6.0
+"""How far beside a segment another must lie to tell the tilt, in standard deviations of a return off its plane."""
+
+OFF_PLANE_SIGMAS = 3.0
+"""Root mean square distance from a plane beyond which a segment is not in it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """Ring segments in one plane, connected.
+
+    Attributes:
+        segments: rows of the sweep's segments.
+        centre: (3,) mean of their returns, LiDAR frame, metres.
+        normal: (3,) unit normal, away from the sensor.
+        area: square metres that their beams cover in the plane.
+        n_rings: rings that they are on.
+    """
+
+    segments: Ints
+    centre: Floats
+    normal: Floats
+    area: float
+    n_rings: int
+
+
+def find_patches(sweep: Sweep, shortest: float, longest: float) -> list[Patch]:
+    """Find the planar patches that segments of a target's size make up.
+
+    Every segment looks for the plane through itself that most of its surroundings support: a plane through a line
+    has one angle left, and each segment nearby votes for one. Neighbouring segments that lie in each other's planes
+    are of one patch. Nothing larger than `longest` takes part, so that walls and floors cost nothing.
+
+    Args:
+        sweep: the scan.
+        shortest: length of a segment at least, metres.
+        longest: length of a segment, and how far around it is looked for others, at most, metres.
+    """
+    chord = np.linalg.norm(sweep.points[sweep.last] - sweep.points[sweep.first], axis=1)
+    count = sweep.last - sweep.first + 1
+    taken = np.flatnonzero((count >= FEWEST_RETURNS) & (chord >= shortest) & (chord <= longest))
+    if len(taken) < 2:
+        return []
+    moments = _moments(sweep)[taken]
+    first, last = sweep.first[taken], sweep.last[taken]
+    ring, chord = sweep.ring[first], chord[taken]
+    centre, covariance = _mean_and_covariance(moments)
+    along = (sweep.points[last] - sweep.points[first]) / chord[:, None]
+
+    pairs = KDTree(centre).query_pairs(longest, output_type="ndarray")
+    pairs = pairs[ring[pairs[:, 0]] != ring[pairs[:, 1]]]
+    s, t = np.concatenate([pairs, pairs[:, ::-1]]).T
+    order = np.argsort(s, kind="stable")
+    s, t = s[order], t[order]
+
+    off_plane = sweep.resolution.off_plane
+    normal = _supported_planes(s, t, centre, along, chord, moments, TILT_BASELINE_SIGMAS * off_plane)
+    limit = (OFF_PLANE_SIGMAS * off_plane) ** 2
+    for _ in range(2):
+        member = _mean_square(normal[s], centre[s], centre[t], covariance[t]) < limit
+        normal = _fit(s[member], t[member], moments, len(taken), normal)
+    member = _mean_square(normal[s], centre[s], centre[t], covariance[t]) < limit
+    beside = (np.abs(ring[s] - ring[t]) <= RINGS_APART) & _overlap(sweep, first, last, s, t)
+    back = _mean_square(normal[t], centre[t], centre[s], covariance[s]) < limit
+    linked = member & back & beside
+    graph = coo_array((np.ones(linked.sum()), (s[linked], t[linked])), shape=(len(taken), len(taken)))
+    n_patches, label = connected_components(graph, directed=False)
+
+    total = np.array([np.bincount(label, column, n_patches) for column in moments.T]).T
+    middle, covariance = _mean_and_covariance(total)
+    normal = np.linalg.eigh(covariance)[1][:, :, 0]
+    normal = normal * np.where((normal * middle).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    # A beam's solid angle cos(e) da de covers r^2 cos(e) da de / cos(incidence).
+    across = np.maximum(np.abs((normal[label] * centre).sum(axis=1)), 1e-3)
+    solid = (sweep.azimuth[last] - sweep.azimuth[first]) * sweep.ring_heights[ring] * np.hypot(*centre[:, :2].T)
+    area = np.bincount(label, (centre**2).sum(axis=1) * solid / across)
+    order = np.lexsort((ring, label))
+    groups = np.split(order, np.cumsum(np.bincount(label))[:-1])
+    return [
+        Patch(np.sort(taken[group]), middle[k], normal[k], float(area[k]), len(np.unique(ring[group])))
+        for k, group in enumerate(groups)
+        if len(group) >= 2
+    ]
+
+
+def _moments(sweep: Sweep) -> Floats:
+    """(S, 10) number, sum and second moments of each segment's returns."""
+    x, y, z = sweep.points.T
+    columns = np.column_stack([np.ones(len(x)), x, y, z, x * x, x * y, x * z, y * y, y * z, z * z])
+    return np.asarray(np.add.reduceat(columns, sweep.first, axis=0))
+
+
+def _mean_and_covariance(moments: Floats) -> tuple[Floats, Floats]:
+    """Mean (S, 3) and covariance (S, 3, 3) of sums (S, 10)."""
+    scaled = moments[:, 1:] / np.maximum(moments[:, :1], 1.0)
+    centre = scaled[:, :3]
+    square = scaled[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
+    return centre, square - centre[:, :, None] * centre[:, None, :]
+
+
+def _mean_square(normal: Floats, through: Floats, centre: Floats, covariance: Floats) -> Floats:
+    """(P,) mean square distance of segments from planes, square metres."""
+    offset = (normal * (centre - through)).sum(axis=1)
+    return np.asarray(offset**2 + np.einsum("pi,pij,pj->p", normal, covariance, normal))
+
+
+def _supported_planes(
+    s: Ints, t: Ints, centre: Floats, along: Floats, chord: Floats, moments: Floats, baseline: float
+) -> Floats:
+    """(S, 3) normal of the plane through each segment s that its neighbours t support, by total chord.
+
+    Args:
+        s: (P,) segments, ascending, and
+        t: (P,) their neighbours.
+        centre: (S, 3) of each segment.
+        along: (S, 3) direction of each segment.
+        chord: (S,) metres.
+        moments: (S, 10).
+        baseline: metres beside the segment that a neighbour lies at least, to vote.
+    """
+    ray = centre / np.linalg.norm(centre, axis=1, keepdims=True)
+    depth = ray - along * (ray * along).sum(axis=1, keepdims=True)
+    depth /= np.maximum(np.linalg.norm(depth, axis=1, keepdims=True), 1e-9)
+    up = np.cross(along, depth)
+    to = centre[t] - centre[s]
+    a, b = (to * depth[s]).sum(axis=1), (to * up[s]).sum(axis=1)
+    tilt = np.arctan2(a, b)  # of the plane from upright, modulo pi
+    tilt = (tilt + np.pi / 2) % np.pi - np.pi / 2
+    votes = np.flatnonzero((np.hypot(a, b) > baseline) & (np.abs(tilt) < STEEPEST))
+    order = votes[np.lexsort((tilt[votes], s[votes]))]
+    key = 2 * np.pi * s[order] + tilt[order]
+    weight = np.concatenate([[0.0], np.cumsum(chord[t[order]])])
+    end = np.searchsorted(key, key + TILT_WINDOW, side="right")
+    support = weight[end] - weight[:-1]
+    best = np.full(len(centre), -1)
+    ranked = np.lexsort((support, s[order]))
+    best[s[order][ranked]] = ranked  # the last, that is the best, of each stays
+    has = np.flatnonzero(best >= 0)
+    middle = np.zeros(len(centre))
+    sums = np.concatenate([[0.0], np.cumsum(chord[t[order]] * tilt[order])])
+    window = best[has]
+    middle[has] = (sums[end[window]] - sums[window]) / support[window]
+    c, d = np.cos(middle)[:, None], np.sin(middle)[:, None]
+    return np.asarray(c * depth - d * up)
+
+
+def _fit(s: Ints, t: Ints, moments: Floats, n: int, fallback: Floats) -> Floats:
+    """(S, 3) normals of least-squares planes of each segment and its members t; of none, the fallback."""
+    total = moments + np.array([np.bincount(s, column, n) for column in moments[t].T]).T
+    _, vectors = np.linalg.eigh(_mean_and_covariance(total)[1])
+    alone = np.bincount(s, minlength=n) == 0
+    return np.where(alone[:, None], fallback, vectors[:, :, 0])
+
+
+def _overlap(sweep: Sweep, first: Ints, last: Ints, s: Ints, t: Ints) -> Bools:
+    """(P,) whether segments overlap in azimuth, give or take a step, across the seam too."""
+    middle = 0.5 * (sweep.azimuth[first] + sweep.azimuth[last])
+    half = 0.5 * (sweep.azimuth[last] - sweep.azimuth[first])
+    apart = np.abs((middle[s] - middle[t] + np.pi) % (2 * np.pi) - np.pi)
+    return np.asarray(apart <= half[s] + half[t] + sweep.resolution.step)

@@ -1,0 +1,110 @@
+"""What detection finds in a scan, and what it turned down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph.pose import PoseEstimate
+from optshape_graph.target import Target
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What speaks for a target at a pose: shares of rays, each 1 for a target that hangs free and is seen whole.
+
+    Attributes:
+        contained: of the connected returns in its plane, those inside its outline.
+        covered: of the rays that should meet it, occluded ones apart, those that return from its plane.
+        edged: of the ends of its rings, those on its outline.
+        solid: of the returns from inside its outline or from behind it, those that are not from behind.
+        free: of the rays that pass beside it, those that see past it: around a window cut out of a wall, none do;
+            below a box on the floor, none do.
+        stepped: of the ends of its rings, those where the range jumps back, or nothing returns: where a surface
+            bends away, or something stands before it, there is no edge to be seen.
+    """
+
+    contained: float
+    covered: float
+    edged: float
+    solid: float
+    free: float
+    stepped: float
+
+    @property
+    def score(self) -> float:
+        """Product of the shares."""
+        return self.contained * self.covered * self.edged * self.solid * self.free * self.stepped
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """A target found in a scan.
+
+    Attributes:
+        target: which one.
+        estimate: its pose, from these returns.
+        indices: (K,) rows of the scan that are its returns.
+        evidence: for it.
+        rival: the next likely of the targets asked for, where one fits as well; else None.
+        margin: difference of log likelihoods to the rival; infinite where there is none.
+        status: "ok"; "ambiguous" where another of the targets, or another pose of this one, is not ruled out; "failed"
+            where the target is there, but its returns leave its pose undetermined.
+        reason: why not "ok", else empty.
+    """
+
+    target: Target
+    estimate: PoseEstimate
+    indices: Ints
+    evidence: Evidence
+    rival: Target | None
+    margin: float
+    status: str
+    reason: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "indices", frozen(self.indices, np.int64))
+
+    @property
+    def score(self) -> float:
+        """How well it fits, 0 to 1: `Evidence.score`."""
+        return self.evidence.score
+
+
+@dataclass(frozen=True, eq=False)
+class Rejection:
+    """A surface that was looked at and is none of the targets.
+
+    Attributes:
+        reason: what speaks against it, with numbers.
+        target: name of the target that it was compared with; empty: with all.
+        centre: (3,) metres, LiDAR frame.
+        n_returns: its returns.
+        n_rings: rings they are on.
+        area: square metres it covers.
+    """
+
+    reason: str
+    target: str
+    centre: Floats
+    n_returns: int
+    n_rings: int
+    area: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", frozen(self.centre))
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What was found in one scan.
+
+    Attributes:
+        found: targets, the best score first; empty: none.
+        rejected: surfaces of about a target's size that are none.
+    """
+
+    found: tuple[Detection, ...]
+    rejected: tuple[Rejection, ...]

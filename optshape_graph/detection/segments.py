@@ -1,0 +1,164 @@
+"""Ring segments: runs of returns along a ring with no jump in range between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph.edges import azimuth_spacing
+from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.scan import Scan
+from optshape_graph.sensor import SensorModel
+
+LONGEST_GAP = 4.5
+"""Azimuth steps between two returns of one segment at most: rings on real targets have gaps of up to four."""
+
+STEEPEST = np.radians(75.0)
+"""Angle of incidence beyond which a surface is not taken for a target's."""
+
+JUMP_SIGMAS = 4.0
+"""A range that departs this far from the ones beside it, in its own standard deviations, is of another surface."""
+
+BAND_SIGMAS = 2.5
+"""Distance from a plane, in standard deviations, to which a return is taken for one of its own."""
+
+FLATNESS = 0.005
+"""How far a target departs from a plane, and an estimate of the plane from it, standard deviation, metres."""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """What a sensor's errors and sampling let one tell apart.
+
+    Attributes:
+        step: rad between two firings of a beam.
+        range_noise: standard deviation of one range, metres, rounding included.
+        off_plane: standard deviation of a return's range about a plane, metres: noise and ring bias.
+        beam: half the divergence, rad.
+    """
+
+    step: float
+    range_noise: float
+    off_plane: float
+    beam: float
+
+    def band(self, cos_incidence: float) -> float:
+        """Half the thickness, metres, of the returns of a plane seen at an incidence: ranges err along the ray."""
+        return BAND_SIGMAS * float(np.hypot(self.off_plane * cos_incidence, FLATNESS))
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """A scan's returns ring by ring, by azimuth, cut into segments.
+
+    Attributes:
+        index: (N,) row of the scan.
+        points: (N, 3) metres, LiDAR frame.
+        ring: (N,) ascending.
+        azimuth: (N,) rad, in (-pi, pi], ascending in each ring.
+        range: (N,) metres.
+        first: (S,) first return of each segment.
+        elevations: (R,) rad of each ring, ascending: the sensor's, or as seen.
+        resolution: of the sensor that made it.
+    """
+
+    index: Ints
+    points: Floats
+    ring: Ints
+    azimuth: Floats
+    range: Floats
+    first: Ints
+    elevations: Floats
+    resolution: Resolution
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    @cached_property
+    def last(self) -> Ints:
+        """(S,) last return of each segment."""
+        return np.append(self.first[1:], len(self)) - 1
+
+    @cached_property
+    def segment(self) -> Ints:
+        """(N,) segment of each return."""
+        return np.repeat(np.arange(len(self.first)), self.last - self.first + 1)
+
+    @cached_property
+    def ring_heights(self) -> Floats:
+        """(R,) elevation that each ring stands for, rad: half way to the next on either side."""
+        return np.asarray(np.gradient(self.elevations))
+
+
+def sweep(scan: Scan) -> Sweep:
+    """Order a scan's returns along its rings, and cut the rings where the range jumps.
+
+    The azimuth step is the sensor's; where it does not state one, the median spacing of the returns. Noise of an
+    unknown sensor: a centimetre, and a centimetre of ring bias.
+
+    Raises:
+        InputError: the cloud has no rings.
+        EstimationError: fewer than two rings, or no azimuth step stated and none to be seen.
+    """
+    if scan.ring is None:
+        raise InputError(
+            f"{scan.name}: targets are found ring by ring; expected a ring per return (or a sensor whose table says)"
+        )
+    if len(scan) == 0 or scan.ring.min() == scan.ring.max():
+        raise EstimationError(f"{scan.name}: returns on {min(len(scan), 1)} rings; a target needs several")
+    azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
+    order = np.argsort(scan.ring * 8.0 + azimuth, kind="stable")  # a ring spans less than 8 rad
+    points, ring, azimuth = scan.points[order], scan.ring[order], azimuth[order]
+    ranges = np.sqrt((points * points).sum(axis=1))
+    resolution = _resolution(scan, azimuth, ring)
+    starts = _starts(ring, azimuth, ranges, resolution)
+    elevations = scan.sensor.elevations if scan.sensor is not None else _elevations(points, ranges, ring)
+    return Sweep(order, points, ring, azimuth, ranges, np.flatnonzero(starts), elevations, resolution)
+
+
+def _elevations(points: Floats, ranges: Floats, ring: Ints) -> Floats:
+    """(R,) mean elevation of each ring that has returns, rad; of those between that have none, interpolated."""
+    present, inverse = np.unique(ring, return_inverse=True)
+    mean = np.bincount(inverse, np.arcsin(points[:, 2] / ranges)) / np.bincount(inverse)
+    return np.interp(np.arange(present[-1] + 1), present, mean)
+
+
+def _resolution(scan: Scan, azimuth: Floats, ring: Ints) -> Resolution:
+    sensor = scan.sensor if scan.sensor is not None else SensorModel(np.zeros(1), beam_divergence=3e-3)
+    step = sensor.azimuth_step or azimuth_spacing(azimuth, ring)
+    if step is None:
+        raise EstimationError(f"{scan.name}: the sensor states no azimuth step, and no ring has two returns")
+    noise = float(np.hypot(sensor.range_noise, sensor.range_resolution / np.sqrt(12)))
+    return Resolution(step, noise, float(np.hypot(noise, sensor.ring_bias)), 0.5 * sensor.beam_divergence)
+
+
+def _starts(ring: Ints, azimuth: Floats, ranges: Floats, resolution: Resolution) -> Bools:
+    """(N,) whether a segment starts at each return.
+
+    A surface's range is continued in a straight line from the three returns on either side: the boundary is kept if
+    either prediction meets the return across it. That separates surfaces a few noises apart at any incidence, which
+    a bound on the jump itself cannot. Where a side is shorter than three returns, the plain jump decides.
+    """
+    n, steepest = len(ring), np.tan(STEEPEST)
+    gap, jump = np.diff(azimuth, prepend=azimuth[:1]), np.diff(ranges, prepend=ranges[:1])
+    apart = (np.diff(ring, prepend=ring[:1] - 1) != 0) | (gap > LONGEST_GAP * resolution.step)
+    run = np.cumsum(apart)
+    row = np.arange(n)
+    off_line = np.full(n, np.inf)
+    for near, far in ((row - 1, row - 3), (row, row + 2)):
+        there = (far >= 0) & (far < n) & ~apart
+        near, far = near.clip(0, n - 1), far.clip(0, n - 1)
+        span = np.abs(azimuth[near] - azimuth[far])
+        there &= (run[far] == run) & (span > 0.5 * resolution.step)
+        span = np.where(there, span, 1.0)
+        slope = np.where(near > far, 1.0, -1.0) * (ranges[near] - ranges[far]) / span
+        slope = np.clip(slope, -steepest * ranges, steepest * ranges)
+        q = gap / span
+        sigma = resolution.range_noise * np.sqrt(1.0 + (1.0 + q) ** 2 + q**2)
+        off_line = np.minimum(off_line, np.where(there, np.abs(jump - slope * gap) / sigma, np.inf))
+    short = np.isinf(off_line)
+    off_line[short] = np.abs(jump[short]) / (np.sqrt(2.0) * resolution.range_noise)
+    return np.asarray(apart | (off_line > JUMP_SIGMAS))

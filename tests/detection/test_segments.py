@@ -1,0 +1,75 @@
+"""Ring segments: what is cut, what is not, and what cannot be used."""
+
+import numpy as np
+import pytest
+
+from optshape_graph import EstimationError, InputError, Scan
+from optshape_graph.detection.segments import sweep
+from optshape_graph.io import load_sensor
+from tests.detection.scenes import BOARD, pose, scan_of
+
+VLP32C = load_sensor("vlp32c")
+
+
+def ring_scan(ranges: np.ndarray, azimuth: np.ndarray, n_rings: int = 2) -> Scan:
+    """The same ranges on a few rings."""
+    elevation = np.repeat(VLP32C.elevations[:n_rings], len(ranges))
+    r, a = np.tile(ranges, n_rings), np.tile(azimuth, n_rings)
+    points = r[:, None] * np.column_stack(
+        [np.cos(elevation) * np.cos(a), np.cos(elevation) * np.sin(a), np.sin(elevation)]
+    )
+    return Scan(points, ring=np.repeat(np.arange(n_rings), len(ranges)), sensor=VLP32C)
+
+
+AZIMUTH = np.radians(0.2) * np.arange(60)
+
+
+def test_a_slanted_wall_is_one_segment() -> None:
+    """From 60 to 72 degrees of incidence neighbouring ranges differ by up to 0.16 m, 16 times the noise."""
+    ranges = 10.0 * np.cos(np.radians(60)) / np.cos(AZIMUTH + np.radians(60))
+    assert np.diff(ranges).max() == pytest.approx(0.16, abs=0.01)
+    assert len(sweep(ring_scan(ranges, AZIMUTH)).first) == 2
+
+
+@pytest.mark.parametrize("step", [0.1, -0.1])
+def test_a_jump_of_ten_centimetres_is_cut(step: float) -> None:
+    ranges = np.where(np.arange(60) < 30, 8.0, 8.0 + step)
+    found = sweep(ring_scan(ranges, AZIMUTH))
+    np.testing.assert_array_equal(found.first % 60, [0, 30, 0, 30])
+
+
+def test_a_crease_is_not_a_jump() -> None:
+    ranges = 8.0 + np.where(np.arange(60) < 30, 0.0, 0.02 * (np.arange(60) - 29))
+    assert len(sweep(ring_scan(ranges, AZIMUTH)).first) == 2
+
+
+@pytest.mark.parametrize(("lost", "segments"), [(3, 2), (5, 4)])
+def test_lost_returns(lost: int, segments: int) -> None:
+    keep = np.r_[0:20, 20 + lost : 60]
+    assert len(sweep(ring_scan(np.full(len(keep), 5.0), AZIMUTH[keep])).first) == segments
+
+
+def test_every_return_is_in_one_segment() -> None:
+    simulated = scan_of(VLP32C, [(BOARD, pose(4, 1, 0))])
+    found = sweep(simulated.scan)
+    np.testing.assert_array_equal(np.sort(found.index), np.arange(len(simulated.scan)))
+    np.testing.assert_array_equal(found.points, simulated.scan.points[found.index])
+    assert (np.diff(found.segment) >= 0).all()
+    assert (found.ring[found.first] == found.ring[found.last]).all()
+
+
+def test_an_unknown_sensor_is_looked_at() -> None:
+    scan = scan_of(VLP32C, [(BOARD, pose(4, 1, 0))]).scan
+    found = sweep(Scan(scan.points, ring=scan.ring))
+    assert found.resolution.step == pytest.approx(np.radians(0.2), rel=0.01)
+    np.testing.assert_allclose(found.elevations, VLP32C.elevations, atol=1e-6)
+
+
+def test_what_cannot_be_used() -> None:
+    points = np.array([[5.0, 0.0, 0.0], [5.0, 0.1, 0.0], [5.0, 0.2, 0.0]])
+    with pytest.raises(InputError, match="expected a ring"):
+        sweep(Scan(points))
+    with pytest.raises(EstimationError, match="1 rings"):
+        sweep(Scan(points, ring=np.zeros(3, int), sensor=VLP32C))
+    with pytest.raises(EstimationError, match="0 rings"):
+        sweep(Scan(np.zeros((0, 3)), ring=np.zeros(0, int), sensor=VLP32C))
