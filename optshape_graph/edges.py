@@ -7,7 +7,8 @@ lies.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtr
@@ -19,6 +20,9 @@ from optshape_graph.scan import Scan
 LEFT, RIGHT = 1, -1
 """Ends of a ring: the largest azimuth (left, seen from the sensor) and the smallest."""
 
+UP, DOWN = 2, -2
+"""Returns of the highest and of the lowest ring, beyond which the next ring has none."""
+
 
 @dataclass(frozen=True, eq=False)
 class EdgePoints:
@@ -29,12 +33,12 @@ class EdgePoints:
     Attributes:
         points: (M, 3) metres, LiDAR frame.
         ring: (M,) ring index, counted from the lowest elevation.
-        side: (M,) LEFT (+1) or RIGHT (-1).
+        side: (M,) LEFT or RIGHT; UP or DOWN for points that `with_top_and_bottom` adds.
         azimuth: (M,) rad, relative to `reference_azimuth`, increasing to the left.
         index: (M,) row of the scan that each point is.
         revolutions: (M,) how many revolutions were merged in the point's ring.
-        lower: (M,) azimuth beyond each point, outwards, from which on the boundary may lie, rad.
-        upper: (M,) azimuth up to which it may: one step on, for one revolution of exact azimuths.
+        lower: (M,) angle beyond each point, outwards, from which on the boundary may lie, rad.
+        upper: (M,) angle up to which it may: one step on, for one revolution of exact azimuths.
         scatter: (M,) standard deviation of the interval's place, rad: 0 for exact azimuths.
         reference_azimuth: azimuth of the target's returns in the LiDAR frame, rad.
         azimuth_step: rad between two firings of a beam in one revolution.
@@ -77,17 +81,27 @@ class EdgePoints:
         return len(self) // 2
 
     def outward(self, normal: Floats) -> Floats:
-        """Motion of each point along its ring, away from the target's inside, per radian of azimuth.
+        """Motion of each point in the target's plane, away from its inside, per radian of azimuth (or elevation).
 
         Args:
             normal: (3,) normal of the target's plane, LiDAR frame.
 
         Returns:
-            (M, 3) metres per radian, in the plane: side * (z x p - p (n . (z x p)) / (n . p)).
+            (M, 3) metres per radian, s - p (n . s) / (n . p) with s = `sweep`.
         """
-        turning = np.column_stack([-self.points[:, 1], self.points[:, 0], np.zeros(len(self))])
-        along = turning - self.points * ((turning @ normal) / (self.points @ normal))[:, None]
-        return np.asarray(along * self.side[:, None])
+        return np.asarray(self.sweep - self.points * ((self.sweep @ normal) / (self.points @ normal))[:, None])
+
+    @cached_property
+    def sweep(self) -> Floats:
+        """(M, 3) motion of each point, outwards, as its ray turns at constant range, metres per radian.
+
+        Along the ring it is +-(z x p), across the rings +-(p x (z x p)) / |z x p|.
+        """
+        x, y, z = self.points.T
+        flat = np.hypot(x, y)
+        azimuthal = np.column_stack([-y, x, np.zeros(len(x))])
+        polar = np.column_stack([-x * z / flat, -y * z / flat, flat])
+        return frozen(np.where(np.abs(self.side)[:, None] == LEFT, azimuthal, polar) * np.sign(self.side)[:, None])
 
 
 def relative_azimuth(points: Floats) -> tuple[Floats, float]:
@@ -161,6 +175,43 @@ def extract_edge_points(scan: Scan, azimuth_noise: float = 0.0) -> EdgePoints:
         scatter=np.repeat(scatter, 2) * step,
         reference_azimuth=reference,
         azimuth_step=step,
+    )
+
+
+def with_top_and_bottom(edges: EdgePoints, scan: Scan) -> EdgePoints:
+    """Add a return of the highest ring and one of the lowest: the target ends before the next ring.
+
+    They are from the middle of their rings. Where the sensor has no further ring, or is unknown, nothing is added.
+
+    Args:
+        edges: both ends of each ring.
+        scan: the returns they were found in.
+    """
+    if scan.sensor is None or scan.ring is None:
+        return edges
+    elevations = scan.sensor.elevations
+    azimuth, _ = relative_azimuth(scan.points)
+    index, side, gap = [], [], []
+    for first, following, way in ((edges.ring[-1], edges.ring[-1] + 1, UP), (edges.ring[0], edges.ring[0] - 1, DOWN)):
+        if not 0 <= following < len(elevations):
+            continue
+        row = np.flatnonzero(scan.ring == first)
+        middle = 0.5 * (azimuth[row].min() + azimuth[row].max())
+        index.append(row[np.abs(azimuth[row] - middle).argmin()])
+        side.append(way)
+        gap.append(abs(elevations[following] - elevations[first]))
+    added = np.array(index, dtype=np.int64)
+    return replace(
+        edges,
+        points=np.vstack([edges.points, scan.points[added]]),
+        ring=np.concatenate([edges.ring, scan.ring[added]]),
+        side=np.concatenate([edges.side, np.array(side, dtype=np.int64)]),
+        azimuth=np.concatenate([edges.azimuth, azimuth[added]]),
+        index=np.concatenate([edges.index, added]),
+        revolutions=np.concatenate([edges.revolutions, np.ones(len(added), dtype=np.int64)]),
+        lower=np.concatenate([edges.lower, np.zeros(len(added))]),
+        upper=np.concatenate([edges.upper, gap]),
+        scatter=np.concatenate([edges.scatter, np.zeros(len(added))]),
     )
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optshape_graph import EstimationError, Scan
-from optshape_graph.edges import LEFT, RIGHT, extract_edge_points
+from optshape_graph.edges import DOWN, LEFT, RIGHT, UP, extract_edge_points, with_top_and_bottom
 from optshape_graph.io import load_sensor
 
 
@@ -95,3 +95,29 @@ def test_outward_is_the_derivative_along_the_ring(azimuth: float, tilt: float) -
     h = 1e-6
     numerical = (hit(azimuth + h) - hit(azimuth - h)) / (2 * h)
     np.testing.assert_allclose(edges.outward(normal)[0], numerical, rtol=1e-5, atol=1e-6)
+
+
+def test_top_and_bottom_are_bounded_by_the_next_rings() -> None:
+    sensor = load_sensor("vlp16")
+
+    def ring(k: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+        azimuths, elevation = np.radians(0.2 * np.arange(n)), sensor.elevations[k]
+        ray = np.column_stack([np.cos(azimuths), np.sin(azimuths), np.full(n, np.tan(elevation))])
+        return 5.0 * ray, np.full(n, k)
+
+    cloud = scan(ring(6, 5), ring(7, 9), ring(8, 3))
+    edges = extract_edge_points(cloud)
+    more = with_top_and_bottom(edges, cloud)
+    assert len(more) == len(edges) + 2
+    assert list(more.side[-2:]) == [UP, DOWN]
+    assert list(more.ring[-2:]) == [8, 6]
+    np.testing.assert_allclose(more.width[-2:], np.radians(2.0))
+    # The middle of its ring; and moving up raises it.
+    np.testing.assert_allclose(more.points[-2], ring(8, 3)[0][1])
+    assert more.sweep[-2, 2] > 0
+    assert more.sweep[-1, 2] < 0
+    top = scan(ring(14, 5), ring(15, 5))
+    assert list(with_top_and_bottom(extract_edge_points(top), top).side[8 - 4 :]) == [DOWN]
+    unknown = scan(ring(6, 5), ring(7, 9), sensor=None)
+    ends = extract_edge_points(unknown)
+    assert with_top_and_bottom(ends, unknown) is ends

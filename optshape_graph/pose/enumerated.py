@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats
-from optshape_graph.edges import extract_edge_points
+from optshape_graph.edges import EdgePoints, extract_edge_points, with_top_and_bottom
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import TemplateMeasurement, template_rows
 from optshape_graph.factors.se3 import inverse, inverse_covariance
@@ -60,9 +60,11 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     plane = fit_plane(scan.points, scan.ring)
     returns = returns_on_plane(scan.points, scan.ring, plane.axes[0], plane.distance, scan.sensor, angular_noise)
     on_plane = _plane_measurement(returns)
-    problem = Problem(edges, target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor))
+    problem = Problem(
+        with_top_and_bottom(edges, scan), target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor)
+    )
     starts = enumerate_poses(edges, plane, target)
-    candidates = _score(problem, _upright(starts, target), scan)
+    candidates = _score(problem, _upright(starts, target), scan, edges)
 
     same = _same_mode(candidates.posterior, target)
     on_edges, edge_weight = _edge_measurement(problem, candidates, same)
@@ -82,7 +84,9 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     ambiguity = _ambiguity(candidates, same)
     unobservable = unobservable_directions(covariance, target.circumradius)
     explained = _explained(problem, final, float(best.offset[0]))
-    status, reason = _verdict(explained, len(edges), unobservable, ambiguity)
+    # Ends that are extremes of noisy azimuths are less independent than their likelihood takes them to be.
+    needed = AMBIGUITY_MARGIN * (1 + 2 * angular_noise / edges.azimuth_step)
+    status, reason = _verdict(explained, len(problem.edges), unobservable, ambiguity, needed)
     return PoseEstimate(
         target=target,
         T_lidar_target=T_lidar_target,
@@ -96,10 +100,10 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
         ambiguity=ambiguity,
         log_likelihood=float(np.logaddexp.reduce(candidates.score[same])),
         edge_points=edges,
-        labels=best.geometry.labels[0],
-        inset=inset,
-        edge_sigma=sigma,
-        edge_residuals=residuals,
+        labels=best.geometry.labels[0, : len(edges)],
+        inset=inset[: len(edges)],
+        edge_sigma=sigma[: len(edges)],
+        edge_residuals=residuals[: len(edges)],
         plane_rms=float(np.sqrt(np.mean((scan.points @ T_target_lidar[0, :3] + T_target_lidar[0, 3]) ** 2))),
         n_returns=len(scan),
         unobservable=unobservable,
@@ -130,13 +134,19 @@ def refine(measurement: TemplateMeasurement, iterations: int = 20) -> Floats:
 
 
 def _plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
-    """Returns against the target's plane, before the bias of each ring, in standard deviations, is marginalised."""
+    """Returns against the target's plane, before the bias of each ring, in standard deviations, is marginalised.
+
+    Where a residual and its row's coefficients err together, the gradient has a mean at the true pose, the sum of their
+    covariances; the constants take it out.
+    """
     normals = np.broadcast_to([1.0, 0.0, 0.0], returns.points.shape)
     A, r = template_rows(returns.points, normals, returns.offset)
+    A, r = A / returns.sigma[:, None], r / returns.sigma
+    mean, _ = template_rows(returns.coupling, normals, returns.offset)
+    mean[:, 9:] = 0.0
+    r = r - A @ np.linalg.lstsq(A.T @ A, (mean / returns.sigma[:, None] ** 2).sum(axis=0), rcond=1e-12)[0]
     names = [f"range bias of ring {k}" for k in returns.rings]
-    return BiasedMeasurement.from_rows(
-        A / returns.sigma[:, None], returns.bias, r / returns.sigma, np.eye(4), shared=names
-    )
+    return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4), shared=names)
 
 
 def _upright(T: Floats, target: Target) -> Floats:
@@ -153,27 +163,27 @@ def _upright(T: Floats, target: Target) -> Floats:
     return result
 
 
-def _score(problem: Problem, starts: Floats, scan: Scan) -> _Candidates:
+def _score(problem: Problem, starts: Floats, scan: Scan, ends: EdgePoints) -> _Candidates:
     """Posterior and log likelihood of each start, best first, each association once.
 
     A first round tells the starts apart. A second works out the best and the associations next to it.
     """
-    first = _rank(problem, propagate(problem, starts, relinearisations=1, sweeps=2), scan)
+    first = _rank(problem, propagate(problem, starts, relinearisations=1, sweeps=2), scan, ends)
     best = first.posterior.select(slice(0, 1))
     labels = np.vstack([best.geometry.labels, alternative_labels(problem, best, _ALTERNATIVES)])
     T = np.repeat(best.T_target_lidar, len(labels), axis=0)
-    second = _rank(problem, propagate(problem, T, relinearisations=1, labels=labels, sweeps=4), scan)
+    second = _rank(problem, propagate(problem, T, relinearisations=1, labels=labels, sweeps=4), scan, ends)
     merged = concatenate(second.posterior, first.posterior)
     return _distinct(merged, np.concatenate([second.score, first.score]))
 
 
-def _rank(problem: Problem, posterior: Posterior, scan: Scan) -> _Candidates:
+def _rank(problem: Problem, posterior: Posterior, scan: Scan, ends: EdgePoints) -> _Candidates:
     score = posterior.log_evidence + exit_probability(problem, posterior)
     if scan.sensor is not None:
         vertices = vertices_in_lidar(posterior.T_target_lidar, problem.target.vertices)
         ranges = np.linalg.norm(problem.edges.points, axis=1)
         lost_width = 2 * posterior.offset * float(np.mean(problem.noise.width(ranges) / ranges))
-        score = score + missed_rings(problem.edges, scan.sensor, vertices, lost_width)
+        score = score + missed_rings(ends, scan.sensor, vertices, lost_width)
     score = np.where(np.isfinite(score), score, -np.inf)
     if not np.isfinite(score).any():
         raise EstimationError(f"{scan.name}: no pose explains the returns")
@@ -288,8 +298,9 @@ def _explained(problem: Problem, geometry: EdgeGeometry, offset: float) -> float
 
 
 def _verdict(
-    explained: float, n_points: int, unobservable: tuple[str, ...], ambiguity: Ambiguity
+    explained: float, n_points: int, unobservable: tuple[str, ...], ambiguity: Ambiguity, needed: float
 ) -> tuple[Status, str]:
+    """Status and reason; `needed` is the margin below which a different pose is not ruled out."""
     if explained < MIN_EXPLAINED:
         count = round((1 - explained) * n_points)
         return (
@@ -298,6 +309,6 @@ def _verdict(
         )
     if unobservable:
         return "failed", "not observable: " + "; ".join(unobservable)
-    if ambiguity.margin < AMBIGUITY_MARGIN:
+    if ambiguity.margin < needed:
         return "ambiguous", f"a different pose is only {ambiguity.margin:.2g} less likely (log likelihood)"
     return "ok", ""

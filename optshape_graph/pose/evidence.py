@@ -80,8 +80,7 @@ def _boundary(problem: Problem, posterior: Posterior) -> Floats:
     """(C, M, 3) where the posterior puts the boundary that each edge point stands for, LiDAR frame, on the plane."""
     T, edges = posterior.T_target_lidar, problem.edges
     normal = T[:, 0, :3]
-    turning = edges.side[:, None] * np.column_stack([-edges.points[:, 1], edges.points[:, 0], np.zeros(len(edges))])
-    ray = edges.points + posterior.inset[..., None] * turning
+    ray = edges.points + posterior.inset[..., None] * edges.sweep
     return np.asarray(ray * (-T[:, 0, 3, None] / np.einsum("ci,cmi->cm", normal, ray))[..., None])
 
 

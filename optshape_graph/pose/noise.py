@@ -69,6 +69,7 @@ class PlaneReturns:
         sigma: (N,) standard deviation of each residual, metres.
         rings: (R,) the rings that hit the target.
         bias: (N, R) how far a standard deviation of each ring's bias moves each residual, in units of `sigma`.
+        coupling: (N, 3) covariance of each residual with its p, square metres: an azimuth error moves both.
     """
 
     points: Floats
@@ -76,6 +77,7 @@ class PlaneReturns:
     sigma: Floats
     rings: Ints
     bias: Floats
+    coupling: Floats
 
 
 def returns_on_plane(
@@ -94,9 +96,12 @@ def returns_on_plane(
     range_noise, ring_bias = (sensor.range_noise, sensor.ring_bias) if sensor else (0.01, 0.01)
     along = points @ normal
     cosine = np.abs(along) / np.linalg.norm(points, axis=1)
-    sideways = np.abs(points[:, 0] * normal[1] - points[:, 1] * normal[0])  # off the plane per radian of azimuth
+    turning = np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
+    sideways = turning @ normal  # off the plane, metres per radian of azimuth
     sigma = np.sqrt((range_noise * cosine) ** 2 + (azimuth_noise * sideways) ** 2 + FLATNESS**2)
     rings, column = np.unique(np.zeros(len(points), int) if ring is None else ring, return_inverse=True)
     bias = np.zeros((len(points), len(rings)))
     bias[np.arange(len(points)), column] = ring_bias * cosine / sigma
-    return PlaneReturns(points * (distance / along)[:, None], distance - along, sigma, rings, bias)
+    in_plane = turning - points * (sideways / along)[:, None]
+    coupling = azimuth_noise**2 * sideways[:, None] * in_plane
+    return PlaneReturns(points * (distance / along)[:, None], distance - along, sigma, rings, bias, coupling)

@@ -118,7 +118,7 @@ def edge_geometry(problem: Problem, T: Floats, labels: Ints | None = None) -> Ed
     R, t = T[:, :3, :3], T[:, :3, 3]
     normal = R[:, 0]
     p = edges.points
-    turning = edges.side[:, None] * np.column_stack([-p[:, 1], p[:, 0], np.zeros(len(p))])
+    turning = edges.sweep
     distance = normal @ p.T
     outward = turning - p * ((normal @ turning.T) / distance)[..., None]
     u = (outward @ np.swapaxes(R, 1, 2))[..., 1:]
@@ -266,13 +266,14 @@ def _log_ratio(cavity_mean: Floats, cavity_variance: Floats, tau: Floats, nu: Fl
 
 def _lost_interval(edges: EdgePoints) -> tuple[Floats, Floats]:
     """Ends (M,), (M,) of where the boundary lies beyond a ring end that is not its last return, rad."""
-    return edges.lower + LOST_SPAN[0] * edges.azimuth_step, edges.lower + LOST_SPAN[1] * edges.azimuth_step
+    step = np.maximum(edges.width, edges.azimuth_step)
+    return edges.lower + LOST_SPAN[0] * step, edges.lower + LOST_SPAN[1] * step
 
 
 def _intervals(along: Floats, edges: EdgePoints) -> tuple[Floats, Floats, Floats]:
     """Where the residual of a boundary point lies (2, C, M): within its interval, or, for a lost return, about it.
 
-    Densities are per azimuth step. A point that leaves its edge inwards cannot have ended there: its first interval is
+    Densities are per step. A point that leaves its edge inwards cannot have ended there: its first interval is
     empty of weight.
     """
     ends = np.array([[edges.lower, edges.upper], _lost_interval(edges)])[:, :, None]
@@ -281,7 +282,7 @@ def _intervals(along: Floats, edges: EdgePoints) -> tuple[Floats, Floats, Floats
     shape = (2, *along.shape)
     log_density = np.log([[1 - LOST_RETURNS], [LOST_RETURNS / (LOST_SPAN[1] - LOST_SPAN[0])]])
     log_density = np.broadcast_to(log_density[..., None], shape).copy()
-    log_density[0] -= np.log(edges.width / edges.azimuth_step)
+    log_density[0] -= np.log(edges.width / np.maximum(edges.width, edges.azimuth_step))
     log_density[0] -= np.where(along > 0, 0.0, 20.0)
     return lower, upper, log_density
 

@@ -218,3 +218,15 @@ def test_two_rings() -> None:
         e_r = errors(estimate, T)[1]
         sd = np.degrees(np.sqrt(estimate.covariance[:3, :3].trace()))
         assert estimate.status != "ok" or e_r < 4 * sd
+
+
+def test_an_upright_square_is_held_by_the_rings_that_miss_it() -> None:
+    """All ring ends on two upright edges: its height is known to a ring's spacing, and no better."""
+    target = load_target("square")
+    T = pose_from_rpy([6.0, 0.0, 0.2], [0.0, 0.0, 0.0])
+    scan = simulate_target(target, load_sensor("vlp32c"), T)
+    estimate = estimate_pose(scan, target)
+    assert estimate.status == "ok", estimate.reason
+    sd = np.sqrt(np.diag(estimate.covariance))
+    assert 3e-3 < sd[5] < 0.1
+    assert abs(estimate.T_lidar_target[2, 3] - 0.2) < 3 * sd[5]
