@@ -196,8 +196,7 @@ def with_top_and_bottom(edges: EdgePoints, scan: Scan) -> EdgePoints:
         if not 0 <= following < len(elevations):
             continue
         row = np.flatnonzero(scan.ring == first)
-        middle = 0.5 * (azimuth[row].min() + azimuth[row].max())
-        index.append(row[np.abs(azimuth[row] - middle).argmin()])
+        index.append(row[np.argsort(azimuth[row])[len(row) // 2]])
         side.append(way)
         gap.append(abs(elevations[following] - elevations[first]))
     added = np.array(index, dtype=np.int64)

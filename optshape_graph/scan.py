@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from optshape_graph._arrays import Floats, Ints, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.sensor import SensorModel
+
+
+Values = TypeVar("Values", Floats | None, Ints | None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +61,7 @@ class Scan:
     def select(self, index: NDArray[np.bool_] | NDArray[np.int64]) -> Scan:
         """Return the returns that a mask or an index array picks, with all their fields."""
 
-        def pick(values: Floats | Ints | None) -> NDArray[np.float64] | NDArray[np.int64] | None:
+        def pick(values: Values) -> Values:
             return None if values is None else values[index]
 
         return replace(

@@ -203,7 +203,8 @@ def _check_vertices(vertices: Floats, name: str) -> None:
     mean = vertices.mean(axis=0)
     if np.abs(mean).max() > 1e-3 * extent:
         raise fail(
-            f"the vertex mean is the origin; found (y, z) = ({mean[1]:.6g}, {mean[2]:.6g}): subtract it from all vertices"
+            f"the vertex mean is the origin; found (y, z) = ({mean[1]:.6g}, {mean[2]:.6g}): "
+            "subtract it from all vertices"
         )
     polygon = vertices[:, 1:]
     edges = np.roll(polygon, -1, axis=0) - polygon
