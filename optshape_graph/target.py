@@ -219,8 +219,10 @@ def _check_vertices(vertices: Floats, name: str) -> None:
     turns /= np.linalg.norm(edges, axis=1) * np.linalg.norm(following, axis=1)
     if _signed_area(polygon) < 0:
         raise fail("vertices run clockwise; expected counter-clockwise seen from +x (y right, z up)")
-    winding = np.arctan2(turns, np.einsum("ij,ij->i", edges, following) / np.linalg.norm(edges, axis=1)
-                         / np.linalg.norm(following, axis=1)).sum()
+    winding = np.arctan2(
+        turns,
+        np.einsum("ij,ij->i", edges, following) / np.linalg.norm(edges, axis=1) / np.linalg.norm(following, axis=1),
+    ).sum()
     if turns.min() < 1e-6 or winding > 3 * np.pi:
         k = (int(turns.argmin()) + 1) % len(vertices)
         raise fail(f"the polygon is not strictly convex at vertex {k}")

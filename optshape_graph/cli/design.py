@@ -10,11 +10,8 @@ import click
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import Console
 
     from optshape_graph.design.judgement import Judgement
-    from optshape_graph.design.multistart import Search
-    from optshape_graph.design.problem import Problem, Start
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
@@ -70,9 +67,11 @@ def optimise(
     The worst is taken over every orientation and every partly lit area. Finished starts are kept in OUTPUT's folder,
     in a folder named after it; run the same command again to go on after an interruption.
     """
+    from optshape_graph.cli.console import progress_bar
     from optshape_graph.design.family import Family
     from optshape_graph.design.judgement import judge
     from optshape_graph.design.limits import SHEETS, Limits
+    from optshape_graph.design.multistart import search
     from optshape_graph.design.problem import Problem
     from optshape_graph.design.rings import SensorRings, UniformRings
     from optshape_graph.io.sensors import load_sensor
@@ -87,7 +86,9 @@ def optimise(
         sheet=None if sheet is None else SHEETS[sheet.upper()],
     )
     lit = SensorRings.of(load_sensor(sensor), distance, area=area) if sensor else UniformRings(*rings)
-    found = _search(Problem(Family(sides), lit, limits), starts, seed, workers, output.with_suffix(".starts"))
+    problem = Problem(Family(sides), lit, limits)
+    with progress_bar("starts") as progress:
+        found = search(problem, starts, seed, workers, output.with_suffix(".starts"), progress)
     target = found.target(name or output.stem)
     save_target(output, target)
     click.echo(f"best of {starts} starts (number {found.best.index}): score {found.best.score:.5f}; wrote {output}")
@@ -115,8 +116,7 @@ def score(shapes: tuple[str, ...], sensor: str, distance: float, plot: Path | No
     Scores are those of the shape at 1 m2; the bound is that of the shape at the size it has, facing the sensor, over
     36 orientations and 3 heights: the median and the worst.
     """
-    from rich.progress import track
-
+    from optshape_graph.cli.console import progress_bar
     from optshape_graph.design.judgement import judge
     from optshape_graph.io.documents import write_json
     from optshape_graph.io.sensors import load_sensor
@@ -124,9 +124,11 @@ def score(shapes: tuple[str, ...], sensor: str, distance: float, plot: Path | No
 
     model = load_sensor(sensor)
     targets = [load_target(shape) for shape in shapes]
-    judgements = [
-        judge(target, model, distance) for target in track(targets, "judging", console=_console(), transient=True)
-    ]
+    judgements: list[Judgement] = []
+    with progress_bar("judging") as progress:
+        for target in targets:
+            progress(len(judgements), len(targets))
+            judgements.append(judge(target, model, distance))
     _show(judgements)
     if output is not None:
         rows = [_row(judgement) for judgement in judgements]
@@ -177,8 +179,7 @@ def study(shapes: int, sensor: str, distances: str, placements: int, seed: int, 
 
     Writes the numbers, a plot, and every finished shape; run it again to go on after an interruption.
     """
-    from rich.progress import Progress
-
+    from optshape_graph.cli.console import progress_bar
     from optshape_graph.evaluation.shape_study import random_placements, random_shapes, study_shapes
     from optshape_graph.io.documents import write_json
     from optshape_graph.io.sensors import load_sensor
@@ -191,16 +192,9 @@ def study(shapes: int, sensor: str, distances: str, placements: int, seed: int, 
         raise click.BadParameter(f"expected numbers with commas between, found '{distances}'") from error
     targets = [load_target(name) for name in STUDIED] + random_shapes(shapes, seed)
     poses = random_placements(metres, placements, seed)
-    with Progress(console=_console(), transient=True) as bar:
-        task = bar.add_task("shapes", total=len(targets))
+    with progress_bar("shapes") as progress:
         found = study_shapes(
-            targets,
-            load_sensor(sensor),
-            poses,
-            seed,
-            output / "shapes",
-            workers=workers,
-            progress=lambda done, total: bar.update(task, completed=done),
+            targets, load_sensor(sensor), poses, seed, output / "shapes", workers=workers, progress=progress
         )
     for name, text in (("score", "score"), ("bound_r", "Cramer-Rao bound")):
         result = found.correlation(name)
@@ -210,34 +204,14 @@ def study(shapes: int, sensor: str, distances: str, placements: int, seed: int, 
     _save(plot_study(found), output / "study.png")
 
 
-def _search(problem: Problem, starts: int, seed: int, workers: int, folder: Path) -> Search:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from optshape_graph.design.multistart import search
-
-    best = 0.0
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=_console(), transient=True) as bar:
-        task = bar.add_task("starts", total=starts)
-
-        def progress(start: Start) -> None:
-            nonlocal best
-            best = max(best, start.score if start.slack >= 0 else 0.0)
-            bar.update(task, advance=1, description=f"starts (best {best:.5f})")
-
-        return search(problem, starts, seed, workers, folder, progress)
-
-
 def _show(judgements: list[Judgement]) -> None:
-    from rich.table import Table
+    from optshape_graph.cli.console import print_table
 
-    table = Table(box=None, header_style="bold")
     names = ["shape", "sides", "area m2", "shortest m", "six rotations", "every 1 deg", "every 0.1 deg", "asymmetry"]
     bounded = [judgement.bound for judgement in judgements if judgement.bound is not None]
     if bounded:
         names += [f"e_t mm at {bounded[0].distance:g} m", "e_r deg", "in plane deg"]
-    for i, name in enumerate(names):
-        table.add_column(name, justify="right" if i else "left")
+    rows = []
     for judgement in judgements:
         row = _row(judgement)
         cells = [
@@ -253,8 +227,8 @@ def _show(judgements: list[Judgement]) -> None:
         if judgement.bound is not None:
             for key, unit, digits in (("e_t_m", 1e3, 1), ("e_r_deg", 1, 2), ("e_in_plane_deg", 1, 2)):
                 cells.append(" / ".join(_number(value, unit, digits) for value in row[key]))
-        table.add_row(*cells)
-    _console(err=False).print(table)
+        rows.append(cells)
+    print_table("Shapes at 1 m2, and the bound on the pose of each as it is (median / worst)", names, rows)
 
 
 def _row(judgement: Judgement) -> dict[str, Any]:
@@ -286,14 +260,6 @@ def _row(judgement: Judgement) -> dict[str, Any]:
 
 def _number(value: float | None, unit: float, digits: int) -> str:
     return "∞" if value is None else f"{value * unit:.{digits}f}"
-
-
-def _console(err: bool = True) -> Console:
-    from rich.console import Console
-
-    # A table is as wide as it is: what reads a pipe should not find it broken into lines.
-    console = Console(stderr=err)
-    return console if err or console.is_terminal else Console(width=200)
 
 
 def _save(figure: Figure, path: Path) -> None:

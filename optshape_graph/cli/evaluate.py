@@ -1,146 +1,22 @@
-"""`optshape evaluate`: how good the estimates are."""
+"""`optshape evaluate`: the group of evaluations."""
 
 from __future__ import annotations
 
-from math import radians
-from pathlib import Path
-from typing import TYPE_CHECKING, cast
-
 import click
 
-if TYPE_CHECKING:
-    from optshape_graph.evaluation.harness import Row
-    from optshape_graph.evaluation.simulation import Removal
+from optshape_graph.cli.lazy import LazyGroup
+
+COMMANDS = {
+    "simulation": "optshape_graph.cli.evaluate_simulation",
+    "mocap": "optshape_graph.cli.evaluate_mocap",
+}
+
+HELP = {
+    "simulation": "The paper's simulations, with as many draws as asked for, and Table I.",
+    "mocap": "Recordings with motion capture, and Table II.",
+}
 
 
-@click.group()
+@click.group(cls=LazyGroup, commands_at=COMMANDS, help_of=HELP)
 def command() -> None:
     """Measure how good the estimates are, beside what the paper reports."""
-
-
-@command.command()
-@click.option("--target", "target_name", default="paper", show_default=True, help="Built-in name, NAME@AREA, or file.")
-@click.option(
-    "--sensor", "sensor_name", help="Built-in name or file.  [default: the paper's simulator, quirks included]"
-)
-@click.option("--method", "methods", multiple=True, type=click.Choice(["global", "paper"]), help="May be repeated.")
-@click.option(
-    "--distance", "distances", multiple=True, type=float, help="May be repeated.  [default: 2 to 40 m by 2 m]"
-)
-@click.option("--rpy", "angles", multiple=True, nargs=3, type=float, metavar="R P Y",
-              help="Degrees, R = Rx Ry Rz; may be repeated.  [default: 0 0 0 and 20 30 30]")  # fmt: skip
-@click.option("--noise", "levels", multiple=True, type=click.Choice(["0", "1", "2", "3", "4", "sensor"]),
-              help="The paper's, or what the sensor's file says; may be repeated.  [default: 0, 1, 3]")  # fmt: skip
-@click.option("--range-only", is_flag=True, help="Leave out the angular part of the noise levels.")
-@click.option("--seeds", "draws", type=click.IntRange(min=1), default=20, show_default=True, help="Scans per cell.")
-@click.option("--jitter/--no-jitter", default=True, show_default=True,
-              help="Move the true pose within an azimuth step and a ring gap.")  # fmt: skip
-@click.option("--remove-share", type=float, default=0.0, show_default=True, help="Share of the rings to leave out.")
-@click.option("--remove", "removal", type=click.Choice(["random", "lowest", "highest"]), default="random",
-              show_default=True, help="Which rings those are.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of everything random.")
-@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes on this machine.")
-@click.option("--dask", metavar="ADDRESS", help="Use the workers of this Dask scheduler instead.")
-@click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), default=Path("evaluation"),
-              show_default=True, help="Folder for the results; a sweep that was stopped goes on there.")  # fmt: skip
-def simulation(
-    target_name: str,
-    sensor_name: str | None,
-    methods: tuple[str, ...],
-    distances: tuple[float, ...],
-    angles: tuple[tuple[float, float, float], ...],
-    levels: tuple[str, ...],
-    range_only: bool,
-    draws: int,
-    jitter: bool,
-    remove_share: float,
-    removal: str,
-    seed: int,
-    workers: int,
-    dask: str | None,
-    output: Path,
-) -> None:
-    """Rerun the paper's simulations: a sweep over distance, orientation and noise, with many draws.
-
-    Writes to the output folder: scans.csv and scans.parquet (one row per scan and method), cells.csv and groups.csv
-    (errors over the draws of a cell, and over all distances), consistency.csv (errors against covariances), table1.csv
-    (the paper's Table I beside ours), and errors.png (the paper's line charts). Results do not depend on
-    the number of workers.
-
-    Example: optshape evaluate simulation --seeds 20 --workers 4 -o sweep
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from optshape_graph.evaluation import (
-        SimulationSweep,
-        beside_published,
-        by_group,
-        consistency,
-        run_simulation,
-        summarise,
-        write_csv,
-        write_parquet,
-    )
-    from optshape_graph.io import load_sensor, load_target
-    from optshape_graph.viz.evaluation import plot_sweep
-
-    sweep = SimulationSweep(
-        target=load_target(target_name),
-        sensor=None if sensor_name is None else load_sensor(sensor_name),
-        methods=methods or SimulationSweep.methods,
-        distances=distances or SimulationSweep.distances,
-        orientations=tuple(_orientation(rpy) for rpy in angles) or SimulationSweep.orientations,
-        noise=levels or SimulationSweep.noise,
-        range_only=range_only,
-        draws=draws,
-        jitter=jitter,
-        removed_share=remove_share,
-        removal=cast("Removal", removal),
-        seed=seed,
-    )
-    bar = Progress(
-        TextColumn("simulating and estimating"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        console=Console(stderr=True),
-    )  # fmt: skip
-    with bar:
-        shown = bar.add_task("", total=None)
-        rows = run_simulation(
-            sweep,
-            output / "tasks",
-            workers=workers,
-            dask=dask,
-            progress=lambda done, total: bar.update(shown, completed=done, total=total),
-        )
-
-    cell = ("method", "noise", "orientation", "range_m")
-    cells = summarise(rows, cell)
-    groups = summarise(rows, ("method", "noise", "orientation"))
-    write_csv(output / "scans.csv", rows)
-    write_parquet(output / "scans.parquet", rows)
-    write_csv(output / "cells.csv", cells)
-    write_csv(output / "groups.csv", groups)
-    write_csv(output / "consistency.csv", by_group(rows, cell, consistency))
-    printed_level = "1" if "1" in sweep.noise else sweep.noise[0]
-    write_csv(output / "table1.csv", beside_published([row for row in cells if row["noise"] == printed_level]))
-    plot_sweep(cells).savefig(output / "errors.png", dpi=150)
-    _show(groups)
-    click.echo(f"{len(rows)} rows; tables and charts in {output}")
-
-
-def _orientation(rpy_deg: tuple[float, float, float]) -> tuple[str, tuple[float, float, float]]:
-    """Name and angles of an orientation given in degrees."""
-    roll, pitch, yaw = (radians(angle) for angle in rpy_deg)
-    return " ".join(f"{angle:g}" for angle in rpy_deg), (roll, pitch, yaw)
-
-
-def _show(groups: list[Row]) -> None:
-    """Print how the estimates of each group ended, and their mean errors and 95th percentiles."""
-    click.echo("method noise  orientation    ok ambig. failed   RMSE (m) mean    95 %   e_r (deg) mean    95 %")
-    for row in groups:
-        errors = [row[f"{name}_{part}"] for name in ("rmse_m", "e_r_deg") for part in ("mean", "p95")]
-        shown = ["-" if value is None else f"{value:.3f}" for value in errors]
-        click.echo(
-            f"{row['method']:6} {row['noise']:6} {row['orientation']:11} {row['ok']:5} {row['ambiguous']:6} "
-            f"{row['failed']:6} {shown[0]:>15} {shown[1]:>7} {shown[2]:>16} {shown[3]:>7}"
-        )

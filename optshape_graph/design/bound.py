@@ -3,8 +3,10 @@
 No unbiased estimate that knows which ring end is on which edge has a smaller covariance. The noise is what the sensor
 does: a ring's end is known along the ring to a uniform quantiser of one azimuth step, variance (s step)^2 / 12 with s
 the in-plane metres per radian (taken as Gaussian of that variance: the uniform distribution itself has no bound);
-ranges have noise; and each ring a bias of its own, which does not average away. Azimuths and elevations that are
-themselves measured with noise move every point across its ray.
+which part of the beam decides moves it across the edge, by something of its own and by something that all ends share,
+each uniform over the beam's width w and of variance w^2 / 12; ranges have noise; and each ring a bias of its own. What
+rings or ends share does not average away. Azimuths that are themselves measured with noise move every point along its
+ring. Elevations with noise cost nothing: the sensor's table has the true ones.
 """
 
 from __future__ import annotations
@@ -71,21 +73,19 @@ def pose_bound(target: Target, sensor: SensorModel, distance: float, turns: int 
     return PoseBound(distance, summary(slice(3, 6)), summary(slice(0, 3)), summary(slice(0, 1)))
 
 
-def covariance_bound(
-    target: Target, sensor: SensorModel, T_lidar_target: Floats, angular_noise: tuple[float, float] = (0.0, 0.0)
-) -> Floats:
+def covariance_bound(target: Target, sensor: SensorModel, T_lidar_target: Floats, azimuth_noise: float = 0.0) -> Floats:
     """(6, 6) Cramer-Rao bound of T_lidar_target, rotation first, right perturbation; infinite if not determined.
 
     Args:
         target: the target.
         sensor: the sensor; its azimuth step has to be known.
         T_lidar_target: (4, 4).
-        angular_noise: standard deviations of the azimuths and elevations of points, rad.
+        azimuth_noise: standard deviation of the azimuth of a point, rad.
 
     Raises:
         InputError: the azimuth step is not known, or the target is not in front of the sensor's own side.
     """
-    information = pose_information(target, sensor, T_lidar_target, angular_noise)
+    information = pose_information(target, sensor, T_lidar_target, azimuth_noise)
     # Columns in comparable units: rotations by the target's size.
     scale = np.repeat([target.circumradius, 1.0], 3)
     scaled = information / np.outer(scale, scale)
@@ -95,9 +95,7 @@ def covariance_bound(
     return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))
 
 
-def pose_information(
-    target: Target, sensor: SensorModel, T_lidar_target: Floats, angular_noise: tuple[float, float] = (0.0, 0.0)
-) -> Floats:
+def pose_information(target: Target, sensor: SensorModel, T_lidar_target: Floats, azimuth_noise: float = 0.0) -> Floats:
     """(6, 6) Fisher information of T_lidar_target, rotation first, right perturbation; see `covariance_bound`.
 
     Raises:
@@ -117,29 +115,29 @@ def pose_information(
     J = np.hstack([np.cross(points, normals), normals])
     per_range = (beams * normals).sum(axis=1)
     variance = (per_range * sensor.range_noise) ** 2
-    if any(angular_noise):
-        variance += _across_rays(points, normals, T_lidar_target) @ np.square(angular_noise)
+    variance += (_by_azimuth(points, normals, T_lidar_target) * azimuth_noise) ** 2
+    width = np.zeros(len(points))
+    to_edge = q_edge + T_lidar_target[:3, :3].T @ T_lidar_target[:3, 3]
+    width[: len(n_edge)] = sensor.beam_aperture + sensor.beam_divergence * np.linalg.norm(to_edge, axis=1)
     variance[: len(n_edge)] += ((s_edge * n_edge).sum(axis=1) * sensor.azimuth_step) ** 2 / 12.0
+    variance += width**2 / 12.0
     # A noiseless row would be infinitely informative; a micrometre is as good as none.
     weight = 1.0 / (variance + 1e-12)
 
-    information = J.T @ (weight[:, None] * J)
-    # The bias of each ring, known to ring_bias beforehand, is eliminated (Schur complement).
-    if sensor.ring_bias > 0:
-        shared = np.zeros((sensor.n_rings, 6))
-        np.add.at(shared, ring, (weight * per_range)[:, None] * J)
-        own = np.bincount(ring, weight * per_range**2, sensor.n_rings) + sensor.ring_bias**-2
-        information -= shared.T @ (shared / own[:, None])
-    return np.asarray(information)
+    # What rows share: a bias of each ring, and an offset of all ring ends, each in its own standard deviations.
+    shared = np.zeros((len(points), sensor.n_rings + 1))
+    shared[np.arange(len(points)), ring] = per_range * sensor.ring_bias
+    shared[:, -1] = width / np.sqrt(12.0)
+    # Eliminated (Schur complement).
+    across = shared.T @ (weight[:, None] * J)
+    own = shared.T @ (weight[:, None] * shared) + np.eye(sensor.n_rings + 1)
+    return np.asarray(J.T @ (weight[:, None] * J) - across.T @ np.linalg.solve(own, across))
 
 
-def _across_rays(points: Floats, normals: Floats, T_lidar_target: Floats) -> Floats:
-    """(N, 2) squares of how far a radian of azimuth, and of elevation, moves points along normals, target frame."""
+def _by_azimuth(points: Floats, normals: Floats, T_lidar_target: Floats) -> Floats:
+    """(N,) how far a radian of azimuth moves points along normals, metres; both in the target frame."""
     R, t = T_lidar_target[:3, :3], T_lidar_target[:3, 3]
-    from_sensor = points + R.T @ t
-    by_azimuth = np.cross(R[2], from_sensor)
-    by_elevation = np.cross(from_sensor, by_azimuth / np.linalg.norm(by_azimuth, axis=1, keepdims=True))
-    return np.column_stack([(by_azimuth * normals).sum(axis=1), (by_elevation * normals).sum(axis=1)]) ** 2
+    return np.asarray((np.cross(R[2], points + R.T @ t) * normals).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)

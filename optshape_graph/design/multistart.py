@@ -65,7 +65,7 @@ def search(
     seed: int,
     workers: int = 1,
     folder: Path | None = None,
-    progress: Callable[[Start], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Search:
     """Solve from many starts. The result depends on the problem, the seed and the number of starts only.
 
@@ -75,7 +75,7 @@ def search(
         seed: start i is drawn from (seed, i).
         workers: processes to share the starts among.
         folder: where finished starts are kept; those found there are not solved again.
-        progress: called with each finished start, in no particular order.
+        progress: called with the number of finished starts and that of all: once before the first, then with each.
 
     Raises:
         InputError: `folder` holds starts of another problem or seed, or no start is asked for.
@@ -86,16 +86,15 @@ def search(
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         done = {i: _read(path, problem, seed) for i in range(starts) if (path := _path(folder, i)).exists()}
-    for start in done.values():
-        if progress is not None:
-            progress(start)
+    if progress is not None:
+        progress(len(done), starts)
     todo = [i for i in range(starts) if i not in done]
     for start in _solved(problem, seed, todo, min(workers, max(len(todo), 1))):
         done[start.index] = start
         if folder is not None:
             write_json(_path(folder, start.index), _document(start, problem, seed))
         if progress is not None:
-            progress(start)
+            progress(len(done), starts)
     return Search(problem, seed, tuple(done[i] for i in range(starts)))
 
 

@@ -21,7 +21,8 @@ def consistency(rows: Sequence[Row], level: float = 0.95) -> Row:
     Returns:
         `scans`; `nees_per_dof`, the mean normalised error squared over its 6 degrees of freedom, which is 1 if the
         covariance is right, and `nees_low` and `nees_high`, between which it is in 95 of 100 such experiments;
-        `coverage`, the share of the errors inside their 6-dimensional region; and `coverage_<axis>` for each axis.
+        `coverage`, the share of the errors inside their 6-dimensional region; `coverage_<axis>` for each axis; and of
+        each vertex its `vertex<k>_nees_per_dof` and `vertex<k>_coverage`, of 3 degrees of freedom.
     """
     judged = [row for row in rows if row["status"] != "failed" and row["nees"] is not None]
     n = len(judged)
@@ -39,4 +40,8 @@ def consistency(rows: Sequence[Row], level: float = 0.95) -> Row:
     for axis in AXES:
         inside = [abs(row[f"error_{axis}"]) <= half_width * row[f"sigma_{axis}"] for row in judged]
         result[f"coverage_{axis}"] = float(np.mean(inside))
+    for column in (name for name in judged[0] if name.startswith("vertex")):
+        squares = np.array([row[column] for row in judged])
+        result[f"{column}_per_dof"] = float(squares.mean() / 3)
+        result[column.replace("nees", "coverage")] = float((squares <= chi2.ppf(level, 3)).mean())
     return result

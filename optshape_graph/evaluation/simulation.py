@@ -204,7 +204,7 @@ def _run_draw(task: SweepTask, draw: int) -> list[Row]:
     scan = simulate_target(target, sensor, T_true, noise=noise, rng=rng, name=f"cell {task.cell}, draw {draw}")
     if sweep.removed_share:
         scan = without_rings(scan, _removed(scan, sweep, rng))
-    bound = covariance_bound(target, sensor, T_true, (noise.azimuth_noise, noise.elevation_noise))
+    bound = covariance_bound(target, sensor, T_true, noise.azimuth_noise)
     assert scan.ring is not None
     assert sensor.azimuth_step is not None
     distance = float(np.linalg.norm(T_true[:3, 3]))
@@ -230,6 +230,7 @@ def _judge(estimator: Estimator, scan: Scan, target: Target, method: str, T_true
     """Columns of one estimate; None where there is none."""
     names = ["rmse_m", "rmse_pct", "e_t_m", "e_t_pct", "e_r_deg", "nees"]
     names += [f"error_{axis}" for axis in AXES] + [f"sigma_{axis}" for axis in AXES]
+    names += [f"vertex{k}_nees" for k in range(len(target))]
     try:
         estimate = estimator(scan, target, method)
     except EstimationError as error:
@@ -237,7 +238,7 @@ def _judge(estimator: Estimator, scan: Scan, target: Target, method: str, T_true
     errors = pose_error(target, estimate.T_lidar_target, T_true)
     normalised = normalised_error(target, estimate.T_lidar_target, estimate.covariance, T_true)
     values = [errors.rmse, errors.rmse_pct, errors.e_t, errors.e_t_pct, np.degrees(errors.e_r), normalised.nees]
-    values += [*normalised.xi, *normalised.sigma]
+    values += [*normalised.xi, *normalised.sigma, *normalised.vertex_nees]
     return {
         "status": estimate.status,
         "reason": getattr(estimate, "reason", ""),
@@ -271,10 +272,12 @@ def _ring_gap(sensor: SensorModel, half_extent: float) -> float:
 
 
 def _noise_and_sensor(sweep: SimulationSweep, level: str) -> tuple[NoiseModel, SensorModel]:
-    """The noise of a level, and the sensor as its user knows it: with that range noise and ring bias."""
+    """The noise of a level, and the sensor as its user knows it: of a level, with its noise and an ideal beam."""
     sensor = sweep.model
-    noise = NoiseModel.of(sensor) if level == "sensor" else NoiseModel.level(int(level), sweep.range_only)
-    return noise, replace(sensor, range_noise=noise.range_noise, ring_bias=noise.ring_bias)
+    if level == "sensor":
+        return NoiseModel.of(sensor), sensor
+    noise = NoiseModel.level(int(level), sweep.range_only)
+    return noise, replace(sensor, range_noise=noise.range_noise, ring_bias=0.0, beam_divergence=0.0, beam_aperture=0.0)
 
 
 def _removed(scan: Scan, sweep: SimulationSweep, rng: np.random.Generator) -> Any:

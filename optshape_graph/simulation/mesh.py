@@ -9,7 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.errors import InputError, missing_extra
-from optshape_graph.simulation.rays import Sphere
+from optshape_graph.simulation.rays import EdgeMargin, Sphere
 from optshape_graph.simulation.surfaces import Hits
 
 
@@ -66,7 +66,7 @@ class Mesh:
         vertices = scale * np.asarray(mesh.vertices) @ T_world_mesh[:3, :3].T + T_world_mesh[:3, 3]
         return cls(vertices, np.asarray(mesh.triangles), reflectivity, str(path))
 
-    def cast(self, origins: Floats, directions: Floats, margin: Floats) -> Hits:
+    def cast(self, origins: Floats, directions: Floats, margin: EdgeMargin) -> Hits:
         """See `Surface.cast`."""
         rays = np.column_stack([np.broadcast_to(origins, directions.shape), directions]).astype(np.float32)
         answer = self._scene.cast_rays(rays, nthreads=1)

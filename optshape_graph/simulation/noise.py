@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from optshape_graph._arrays import Bools, Floats
 from optshape_graph.errors import InputError
 from optshape_graph.sensor import SensorModel
+from optshape_graph.simulation.rays import EdgeMargin
 
 
 @dataclass(frozen=True)
@@ -127,19 +128,23 @@ class NoiseModel:
         """Azimuth by which a revolution's grid is shifted, rad: 0 unless the phase is free."""
         return float(rng.uniform(0.0, step)) if self.random_phase else 0.0
 
-    def draw_edge_margin(self, divergence: float, n_rays: int, rng: np.random.Generator) -> Floats:
-        """Angle, rad, by which each beam's axis may pass outside an edge and still return: (n_rays,), or (1,) for all.
+    def widest_edge_margin(self, sensor: SensorModel) -> EdgeMargin:
+        """Return one that no ray exceeds."""
+        return EdgeMargin(np.array([1.0 + 2.0 * self.edge_spread]), sensor.beam_divergence, sensor.beam_aperture)
+
+    def draw_edge_margin(self, sensor: SensorModel, n_rays: int, rng: np.random.Generator) -> EdgeMargin:
+        """Return by how much each beam's axis may pass outside an edge and still return.
 
         Args:
-            divergence: full angle of the beam, rad.
+            sensor: whose beams.
             n_rays: number of rays.
             rng: source of randomness.
         """
-        radius = 0.5 * divergence
-        if self.edge_spread == 0 or radius == 0:
-            return np.array([radius * self.edge_shift])
-        spread = self.edge_spread
-        return radius * (self.edge_shift + rng.uniform(-spread, spread) + rng.uniform(-spread, spread, n_rays))
+        radii = np.array([self.edge_shift])
+        if self.edge_spread > 0:
+            spread = self.edge_spread
+            radii = radii + rng.uniform(-spread, spread) + rng.uniform(-spread, spread, n_rays)
+        return EdgeMargin(radii, sensor.beam_divergence, sensor.beam_aperture)
 
     def draw_survivors(self, cos_incidence: Floats, rng: np.random.Generator) -> Bools:
         """(N,) whether a return at each (N,) cosine of incidence is detected."""

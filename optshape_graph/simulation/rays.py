@@ -16,6 +16,47 @@ Sphere = tuple[Floats, float]
 """(3,) centre and radius, metres."""
 
 
+@dataclass(frozen=True, eq=False)
+class EdgeMargin:
+    """How far outside an edge a beam's axis may pass and still return, in radii of the beam.
+
+    At a range r the beam's radius is an angle of (divergence + aperture / r) / 2.
+
+    Attributes:
+        radii: (N,) of each ray, or (1,) of all, in beam radii; negative: by which the axis must pass inside.
+        divergence: full angle of the beam, rad.
+        aperture: width of the beam where it leaves the sensor, metres.
+    """
+
+    radii: Floats
+    divergence: float = 0.0
+    aperture: float = 0.0
+
+    def angle(self, index: Ints, ranges: Floats) -> Floats:
+        """(M,) rad, of rays (M,) at ranges (M,), metres."""
+        return np.asarray(0.5 * at(self.radii, index) * (self.divergence + self.aperture / ranges))
+
+    def widen(self, sphere: Sphere, distance: Floats) -> Floats:
+        """(N,) radius, metres, of a sphere so wide that rays which pass it miss what is in it by more than the margin.
+
+        Args:
+            sphere: around something.
+            distance: (N,) of its centre from the rays' origins, metres.
+        """
+        # Twice the margin at the centre: it is an angle, and what is in the sphere may be up to twice as far.
+        width = self.divergence * distance + self.aperture
+        return np.asarray((sphere[1] + np.abs(self.radii).max(initial=0.0) * width) * (1 + 1e-9))
+
+
+NO_MARGIN = EdgeMargin(np.zeros(1))
+"""Beams without width."""
+
+
+def at(values: Floats, index: Ints) -> Floats:
+    """Return the values of the rays at `index`: the one row if all rays share it."""
+    return values if len(values) == 1 else values[index]
+
+
 def unit_vectors(azimuth: Floats, elevation: Floats) -> Floats:
     """(..., 3) unit vectors at azimuths about z from x, and elevations, rad, of shapes that broadcast.
 

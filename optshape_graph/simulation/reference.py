@@ -7,6 +7,8 @@ vertex mean. All of it is a sensor table and a pose: the rays and the target are
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -30,6 +32,7 @@ _RAY_POINT = 150.0
 _RISE_PER_RING = 0.01
 
 
+@cache
 def reference_sensor() -> SensorModel:
     """Return the sensor of the paper's simulator: a VLP-32C upside down, its elevations bent, free of noise."""
     upright = load_sensor("vlp32c").elevations

@@ -14,8 +14,8 @@ from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation.motion import Motion
 from optshape_graph.simulation.noise import IDEAL, NoiseModel
-from optshape_graph.simulation.rays import Revolution, unit_vectors
-from optshape_graph.simulation.surfaces import Patch, Surface, widened
+from optshape_graph.simulation.rays import EdgeMargin, Revolution, unit_vectors
+from optshape_graph.simulation.surfaces import Patch, Surface
 from optshape_graph.target import Target
 
 
@@ -103,10 +103,10 @@ def simulate(
         raise InputError(f"sensor '{sensor.name}' has {sensor.n_rings} rings; found range biases of shape {bias.shape}")
     placement = np.eye(4) if T_world_lidar is None else T_world_lidar
     if isinstance(placement, np.ndarray):
-        rays = _facing(rays, scene, placement, sensor.beam_divergence * (1 + noise.edge_spread))
+        rays = _facing(rays, scene, placement, noise.widest_edge_margin(sensor))
     origins, directions = _place(rays, placement)
 
-    margin = noise.draw_edge_margin(sensor.beam_divergence, len(rays), rng)
+    margin = noise.draw_edge_margin(sensor, len(rays), rng)
     ranges, surface, cos_incidence = _cast(scene, origins, directions, margin)
     hit = np.flatnonzero((surface >= 0) & (ranges >= sensor.min_range) & (ranges <= sensor.max_range))
     hit = hit[noise.draw_survivors(cos_incidence[hit], rng)]
@@ -181,7 +181,7 @@ def _rings(scan: Scan) -> Ints:
     return scan.ring
 
 
-def _facing(rays: Revolution, scene: Scene, T_world_lidar: Floats, margin: float) -> Revolution:
+def _facing(rays: Revolution, scene: Scene, T_world_lidar: Floats, margin: EdgeMargin) -> Revolution:
     """The columns of a sensor at rest in which there is something to hit."""
     bounds = [surface.bounds for surface in scene.surfaces]
     spheres = []
@@ -189,7 +189,8 @@ def _facing(rays: Revolution, scene: Scene, T_world_lidar: Floats, margin: float
         if sphere is None:
             return rays
         centre = (sphere[0] - T_world_lidar[:3, 3]) @ T_world_lidar[:3, :3]
-        spheres.append((centre, float(widened(sphere[1], np.array(np.linalg.norm(centre)), margin))))
+        reach = margin.widen(sphere, np.array([np.linalg.norm(centre)]))
+        spheres.append((centre, float(reach[0])))
     return rays.facing(spheres)
 
 
@@ -210,7 +211,7 @@ def _pose_at_stamp(T_world_lidar: Floats | Motion) -> Floats:
     return T
 
 
-def _cast(scene: Scene, origins: Floats, directions: Floats, margin: Floats) -> tuple[Floats, Ints, Floats]:
+def _cast(scene: Scene, origins: Floats, directions: Floats, margin: EdgeMargin) -> tuple[Floats, Ints, Floats]:
     """(N,) range to the nearest surface, (N,) which (-1: none), (N,) cosine of incidence."""
     nearest = np.full(len(directions), np.inf)
     surface = np.full(len(directions), -1, dtype=np.int64)

@@ -9,7 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.simulation.rays import Sphere
+from optshape_graph.simulation.rays import NO_MARGIN, EdgeMargin, Sphere, at
 from optshape_graph.target import Target
 
 Hits = tuple[Ints, Floats, Floats]
@@ -27,14 +27,14 @@ class Surface(Protocol):
     def bounds(self) -> Sphere | None:
         """A sphere around it, world frame; None: it has no bounds."""
 
-    def cast(self, origins: Floats, directions: Floats, margin: Floats) -> Hits:
+    def cast(self, origins: Floats, directions: Floats, margin: EdgeMargin) -> Hits:
         """Return the first hit of each ray that meets the surface.
 
         Args:
             origins: (N, 3) metres, world frame, or (1, 3) if all rays have the same.
             directions: (N, 3) unit vectors, world frame.
-            margin: (N,) or (1,) angle, rad, by which a beam's axis may pass outside a polygon's edge and still return;
-                negative: by which it must pass inside. Other surfaces ignore it.
+            margin: by how much a beam's axis may pass outside a polygon's edge and still return. Other surfaces
+                ignore it.
         """
 
 
@@ -57,14 +57,14 @@ class Patch:
         """See `Surface.bounds`."""
         return self.T_world_patch[:3, 3], self.shape.circumradius
 
-    def cast(self, origins: Floats, directions: Floats, margin: Floats) -> Hits:
+    def cast(self, origins: Floats, directions: Floats, margin: EdgeMargin) -> Hits:
         """Intersect with the plane inside the polygon; see `Surface.cast`.
 
         A beam's angle beyond edge k is that between its axis and the plane through its origin and the edge. A beam
         whose axis is outside and that returns nevertheless is given the range of the polygon's plane on its axis.
         """
         R, t = self.T_world_patch[:3, :3], self.T_world_patch[:3, 3]
-        near = towards_sphere(origins, directions, self.bounds, float(np.abs(margin).max(initial=0.0)))
+        near = towards_sphere(origins, directions, self.bounds, margin)
         o, d = (at(origins, near) - t) @ R, directions[near] @ R
         with np.errstate(divide="ignore", invalid="ignore"):
             ranges = -o[:, 0] / d[:, 0]
@@ -72,7 +72,8 @@ class Patch:
         outward = np.cross(np.roll(vertices, -1, axis=0) - vertices, vertices - o[:, None, :])
         outward *= -np.sign(o[:, None, :1]) / np.linalg.norm(outward, axis=-1, keepdims=True)
         sin_beyond = np.einsum("mkj,mj->mk", outward, d).max(axis=1)
-        hit = (sin_beyond <= np.sin(at(margin, near))) & np.isfinite(ranges) & (ranges > 0)
+        ahead = np.flatnonzero(np.isfinite(ranges) & (ranges > 0))
+        hit = ahead[sin_beyond[ahead] <= np.sin(margin.angle(near[ahead], ranges[ahead]))]
         return near[hit], ranges[hit], np.abs(d[hit, 0])
 
 
@@ -93,7 +94,7 @@ class Floor:
         """See `Surface.bounds`."""
         return None
 
-    def cast(self, origins: Floats, directions: Floats, margin: Floats) -> Hits:
+    def cast(self, origins: Floats, directions: Floats, margin: EdgeMargin) -> Hits:
         """See `Surface.cast`."""
         drop, slope = self.height - origins[:, 2], directions[:, 2]
         index = np.flatnonzero(slope * drop > 0)
@@ -125,7 +126,7 @@ class Box:
         """See `Surface.bounds`."""
         return self.T_world_box[:3, 3], float(np.linalg.norm(self.size) / 2)
 
-    def cast(self, origins: Floats, directions: Floats, margin: Floats) -> Hits:
+    def cast(self, origins: Floats, directions: Floats, margin: EdgeMargin) -> Hits:
         """Intersect with the three slabs: in at the last entry, if that is before the first exit."""
         R, t, half = self.T_world_box[:3, :3], self.T_world_box[:3, 3], self.size / 2
         near = towards_sphere(origins, directions, self.bounds)
@@ -143,22 +144,11 @@ class Box:
         return near[hit], np.where(outside, first[hit], last[hit]), np.abs(d[hit, face])
 
 
-def at(values: Floats, index: Ints) -> Floats:
-    """Return the values of the rays at `index`: the one row if all rays share it."""
-    return values if len(values) == 1 else values[index]
-
-
-def towards_sphere(origins: Floats, directions: Floats, sphere: Sphere, margin: float = 0.0) -> Ints:
-    """Index of the rays that pass a sphere, in front of their origin, or pass it by less than an angle."""
-    centre, radius = sphere
-    to_centre = centre - origins
+def towards_sphere(origins: Floats, directions: Floats, sphere: Sphere, margin: EdgeMargin = NO_MARGIN) -> Ints:
+    """Index of the rays that pass a sphere, in front of their origin, or pass what is in it by less than a margin."""
+    to_centre = sphere[0] - origins
     along = (directions * to_centre).sum(axis=1) if len(origins) > 1 else directions @ to_centre[0]
     distance = np.linalg.norm(to_centre, axis=1)
-    reach = widened(radius, distance, margin)
+    reach = margin.widen(sphere, distance)
     least = np.where(distance > reach, np.sqrt(np.maximum(distance**2 - reach**2, 0.0)), -np.inf)
     return np.flatnonzero(along >= least)
-
-
-def widened(radius: float, distance: Floats, margin: float) -> Floats:
-    """(N,) radius, metres, of a sphere widened by twice an angle at each (N,) distance, and by rounding."""
-    return (radius + 2 * distance * margin) * (1 + 1e-9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,6 @@ from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.files import read_bytes, write_atomically
-from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
 LIDAR_COLOUR, CAMERA_COLOUR = (60, 60, 255), (255, 200, 0)
@@ -25,16 +25,18 @@ LIDAR_COLOUR, CAMERA_COLOUR = (60, 60, 255), (255, 200, 0)
 WIDEST_ANGLE = np.radians(80.0)
 """Returns further from the optical axis than this are not drawn: lens models are not calibrated there."""
 
+RANGES = (1.0, 30.0)
+"""Ranges, metres, that the colours run over, red to blue, in equal ratios."""
+
 POINTS_PER_EDGE = 50
 
 
-def draw_overlay(calibration: CameraCalibration, number: int, scan: Scan | None = None) -> np.ndarray:
+def draw_overlay(calibration: CameraCalibration, number: int) -> np.ndarray:
     """Draw one view: the returns on the image, the outline by the LiDAR (red) and by the camera (light blue).
 
     Args:
         calibration: the result.
         number: the view's number.
-        scan: the whole scan; None: only the returns on the target.
 
     Returns:
         (h, w, 3) blue, green, red.
@@ -45,7 +47,7 @@ def draw_overlay(calibration: CameraCalibration, number: int, scan: Scan | None 
     cv2 = opencv()
     view = calibration.views[number].view
     lidar_side, camera_side = of_view(number, calibration.sightings)
-    if view.image is None or view.image_name.lower().endswith(".csv") or camera_side is None:
+    if view.image is None or view.image.image.lower().endswith(".csv") or camera_side is None:
         raise InputError(f"view {view.name}: no image to draw on")
     picture = cv2.imdecode(np.frombuffer(read_bytes(Path(view.image.image)), np.uint8), cv2.IMREAD_COLOR)
     if picture is None:
@@ -57,8 +59,8 @@ def draw_overlay(calibration: CameraCalibration, number: int, scan: Scan | None 
     if lidar_side is not None and isinstance(lidar_side.seen, TargetInScan):
         T_camera_lidar = inverse(rig.T_base_sensor[camera_side.sensor]) @ rig.T_base_sensor[lidar_side.sensor]
         bias = rig.range_bias.get(lidar_side.sensor, 0.0)
-        returns = without_bias(lidar_side.seen.returns if scan is None else scan.points, bias)
-        _returns(picture, camera, T_camera_lidar, returns)
+        _returns(picture, camera, T_camera_lidar, without_bias(lidar_side.seen.all_returns, bias), 1)
+        _returns(picture, camera, T_camera_lidar, without_bias(lidar_side.seen.returns, bias), 2)
         T_lidar_target = lidar_side.seen.pose(bias) @ inverse(lidar_side.S)
         _outline(picture, camera, view.target, T_camera_lidar @ T_lidar_target, LIDAR_COLOUR)
         caption = "LiDAR's outline red, camera's light blue"
@@ -66,40 +68,45 @@ def draw_overlay(calibration: CameraCalibration, number: int, scan: Scan | None 
     return np.asarray(picture)
 
 
-def save_overlays(calibration: CameraCalibration, folder: Path, scans: dict[int, Scan] | None = None) -> list[Path]:
+def save_overlays(
+    calibration: CameraCalibration, folder: Path, progress: Callable[[int, int], None] | None = None
+) -> list[Path]:
     """Write one PNG for each view that has an image; return their paths.
 
     Args:
         calibration: the result.
         folder: where to write; it is made if it does not exist.
-        scans: whole scans by the view's number; without, only the returns on the target are drawn.
+        progress: called with how many images are done, and how many there are.
     """
     cv2 = opencv()
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for number, result in enumerate(calibration.views):
-        if result.view.image is None or result.view.image_name.lower().endswith(".csv"):
-            continue
-        picture = draw_overlay(calibration, number, (scans or {}).get(number))
-        path = folder / f"{number:03d}_{Path(result.view.image_name).stem}_{result.view.target.name}.png"
-        write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())
-        written.append(path)
+        if result.view.image is not None and not result.view.image.image.lower().endswith(".csv"):
+            picture = draw_overlay(calibration, number)
+            path = folder / f"{number:03d}_{Path(result.view.image_name).stem}_{result.view.target.name}.png"
+            write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())
+            written.append(path)
+        if progress is not None:
+            progress(number + 1, len(calibration.views))
     return written
 
 
-def _returns(picture: np.ndarray, camera: CameraIntrinsics, T_camera_lidar: Floats, points: Floats) -> None:
+def _returns(
+    picture: np.ndarray, camera: CameraIntrinsics, T_camera_lidar: Floats, points: Floats, radius: int
+) -> None:
     cv2 = opencv()
     in_camera = points @ T_camera_lidar[:3, :3].T + T_camera_lidar[:3, 3]
     ahead = np.arctan2(np.linalg.norm(in_camera[:, :2], axis=1), in_camera[:, 2]) < WIDEST_ANGLE
     in_camera, distance = in_camera[ahead], np.linalg.norm(points[ahead], axis=1)
     if not len(in_camera):
         return
-    near, far = np.quantile(distance, [0.02, 0.98])
-    share = np.clip((distance - near) / max(far - near, 1e-6), 0, 1)
+    near, far = np.log(RANGES)
+    share = np.clip((np.log(distance) - near) / (far - near), 0, 1)
     colours = cv2.applyColorMap((255 * (1 - share)).astype(np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0]
     for pixel, colour in zip(project(camera, in_camera), colours, strict=True):
         if (pixel >= 0).all() and (pixel < (camera.width, camera.height)).all():
-            cv2.circle(picture, [int(x) for x in pixel], 2, [int(c) for c in colour], -1, cv2.LINE_AA)
+            cv2.circle(picture, [int(x) for x in pixel], radius, [int(c) for c in colour], -1, cv2.LINE_AA)
 
 
 def _outline(
@@ -107,7 +114,9 @@ def _outline(
 ) -> None:
     cv2 = opencv()
     share = np.linspace(0, 1, POINTS_PER_EDGE, endpoint=False)[None, :, None]
-    points = ((1 - share) * target.vertices[:, None] + share * np.roll(target.vertices, -1, axis=0)[:, None]).reshape(-1, 3)
+    points = ((1 - share) * target.vertices[:, None] + share * np.roll(target.vertices, -1, axis=0)[:, None]).reshape(
+        -1, 3
+    )
     in_camera = points @ T_camera_target[:3, :3].T + T_camera_target[:3, 3]
     if (in_camera[:, 2] > 0).all():
         pixels = np.round(16 * project(camera, in_camera)).astype(np.int32)
@@ -124,6 +133,7 @@ def _caption(picture: np.ndarray, calibration: CameraCalibration, number: int, t
             f"normal {errors.normal_error_deg:.2f} deg, vertices {errors.reprojection_px:.1f} px"
         )
     for row, line in enumerate(lines):
-        place = (12, 30 + 30 * row)
-        cv2.putText(picture, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.7, (0, 0, 0), 4, cv2.LINE_AA)
-        cv2.putText(picture, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 255, 255), 1, cv2.LINE_AA)
+        (width, height), below = cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, 0.7, 1)
+        bottom = 30 + 32 * row
+        cv2.rectangle(picture, (6, bottom - height - 6), (18 + width, bottom + below), (0, 0, 0), -1)
+        cv2.putText(picture, line, (12, bottom), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 255, 255), 1, cv2.LINE_AA)

@@ -48,3 +48,33 @@ def test_another_sweep_does_not_go_into_the_same_folder(tmp_path):
     (tmp_path / "tasks" / "sweep.json").write_text('{"digest": "another"}')
     result = run(tmp_path, "--distance", 4, "--noise", 0, "--seeds", 1)
     assert "holds another sweep" in str(result.exception)
+
+
+def test_mocap_writes_the_table_and_says_what_was_left_out(tmp_path):
+    from optshape_graph.io import load_sensor, load_target
+    from optshape_graph.simulation import synthetic_session
+
+    for seed, distances in enumerate([(4.0, 6.0), (8.0,)]):
+        folder = tmp_path / "recordings" / f"s{seed}"
+        synthetic_session(folder, load_target("built"), load_sensor("vlp32c"), distances=distances, rng=seed)
+    session = tmp_path / "recordings" / "s1" / "session.yaml"
+    session.write_text(session.read_text().replace(", mocap_frame: 1", ""))
+    out = tmp_path / "out" / "tables"
+    result = CliRunner().invoke(
+        command, ["mocap", str(tmp_path / "recordings"), "-o", str(out), "--json", str(tmp_path / "mocap.json")],
+        standalone_mode=False,
+    )  # fmt: skip
+    assert result.exit_code == 0
+    assert result.return_value == 3
+    assert "left out s1/8m.pcd" in result.output
+    assert "s0/6m_angled.pcd" in result.output
+    assert "mean" in result.output
+    assert [row["scan"] for row in read(out / "mocap.csv")] == ["4m.pcd", "4m_angled.pcd", "6m.pcd", "6m_angled.pcd"]
+    assert (out / "mocap.parquet").exists()
+    document = json.loads((tmp_path / "mocap.json").read_text())
+    assert document["schema"] == "optshape/mocap-evaluation/1"
+    assert document["protocol"] == "leave-one-out"
+    assert len(document["scans"]) == 4
+    assert document["mean"]["rmse_m"] < 0.05
+    assert document["published_mean"] is None
+    assert len(document["left_out"]) == 2

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from optshape_graph import InputError, SensorModel
-from optshape_graph.design.bound import covariance_bound, pose_bound, pose_information
+from optshape_graph.design.bound import _by_azimuth, covariance_bound, pose_bound, pose_information
 from optshape_graph.io.sensors import load_sensor
 from optshape_graph.io.targets import load_target
+from optshape_graph.simulation import pose_from_rpy
+
+OBLIQUE = pose_from_rpy([8.0, 2.0, 1.0], [0.3, 0.4, -0.2])
 
 
 @pytest.fixture(scope="module")
@@ -89,9 +92,12 @@ def test_covariance_is_the_scatter_of_the_best_estimate(target, sensor):
     per_range = (beams * normals).sum(axis=1)
     along = np.zeros(len(J))
     along[: len(n_edge)] = (s_edge * n_edge).sum(axis=1)
+    width = np.zeros(len(J))
+    ranges = np.linalg.norm(q_edge @ T[:3, :3].T + T[:3, 3], axis=1)
+    width[: len(n_edge)] = sensor.beam_aperture + sensor.beam_divergence * ranges
     rng = np.random.default_rng(1)
-    C = np.diag((per_range * sensor.range_noise) ** 2 + (along * sensor.azimuth_step) ** 2 / 12)
-    C += sensor.ring_bias**2 * np.outer(per_range, per_range) * (ring[:, None] == ring)
+    C = np.diag((per_range * sensor.range_noise) ** 2 + (along * sensor.azimuth_step) ** 2 / 12 + width**2 / 12)
+    C += sensor.ring_bias**2 * np.outer(per_range, per_range) * (ring[:, None] == ring) + np.outer(width, width) / 12
     gain = np.linalg.solve(J.T @ np.linalg.solve(C, J), np.linalg.solve(C, J).T)
     step = sensor.azimuth_step
     squares = []
@@ -100,6 +106,7 @@ def test_covariance_is_the_scatter_of_the_best_estimate(target, sensor):
             rng.normal(0, sensor.range_noise, len(J)) + rng.normal(0, sensor.ring_bias, sensor.n_rings)[ring]
         )
         noise += along * rng.uniform(-step / 2, step / 2, len(J))
+        noise += width * (rng.uniform(-0.5, 0.5) + rng.uniform(-0.5, 0.5, len(J)))
         error = gain @ noise
         squares.append(error @ np.linalg.solve(covariance, error))
     # Mean of 400 chi-squares of 6 degrees: 6 +- 0.17 (one sigma).
@@ -109,7 +116,10 @@ def test_covariance_is_the_scatter_of_the_best_estimate(target, sensor):
 def test_more_information_lowers_the_bound(target, sensor):
     T = facing(10.0, 0.2, 0.1)
     base = covariance_bound(target, sensor, T)
-    for change in ({"ring_bias": 0.0}, {"range_noise": 0.003}, {"azimuth_step": 0.5 * sensor.azimuth_step}):
+    for change in (
+        {"ring_bias": 0.0}, {"range_noise": 0.003}, {"azimuth_step": 0.5 * sensor.azimuth_step},
+        {"beam_aperture": 0.0}, {"beam_divergence": 0.0},
+    ):  # fmt: skip
         better = covariance_bound(target, dataclasses.replace(sensor, **change), T)
         # Halving the step also doubles the returns.
         assert np.linalg.eigvalsh(base - better).min() > -1e-12
@@ -139,3 +149,23 @@ def test_misuse_is_refused(target, sensor):
         covariance_bound(target, sensor, facing(5.0, yaw=np.pi))
     with pytest.raises(InputError, match="positive distance; found 0"):
         pose_bound(target, sensor, 0.0)
+
+
+def test_how_far_azimuths_move_points_is_the_derivative():
+    rng = np.random.default_rng(0)
+    points = np.column_stack([np.zeros(20), rng.uniform(-0.5, 0.5, (20, 2))])
+    normals = rng.normal(size=(20, 3))
+    lidar = points @ OBLIQUE[:3, :3].T + OBLIQUE[:3, 3]
+
+    def along_normals(turn):
+        R = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+        return ((lidar @ R.T - OBLIQUE[:3, 3]) @ OBLIQUE[:3, :3] * normals).sum(axis=1)
+
+    slope = (along_normals(1e-6) - along_normals(-1e-6)) / 2e-6
+    np.testing.assert_allclose(_by_azimuth(points, normals, OBLIQUE), slope, rtol=1e-6, atol=1e-9)
+
+
+def test_bound_grows_with_the_noise_of_the_azimuths(target, sensor):
+    bounds = [np.diag(covariance_bound(target, sensor, OBLIQUE, noise)) for noise in (0.0, 1e-3, 1e-2, 1e-1)]
+    assert (np.diff(bounds, axis=0) >= 0).all()
+    assert bounds[3][0] / bounds[2][0] == pytest.approx(100, rel=0.2)  # then the azimuths' noise is nearly all there is

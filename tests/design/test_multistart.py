@@ -60,8 +60,8 @@ def test_a_killed_search_resumes_and_loses_nothing(tmp_path):
     class KilledError(Exception):
         pass
 
-    def kill(start):
-        if start.index == 1:
+    def kill(done, total):
+        if done == 2:
             raise KilledError
 
     with pytest.raises(KilledError):
@@ -69,9 +69,9 @@ def test_a_killed_search_resumes_and_loses_nothing(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["start-00000.json", "start-00001.json"]
     stamps = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
     seen = []
-    resumed = search(TINY, 3, seed=5, folder=tmp_path, progress=lambda start: seen.append(start.index))
+    resumed = search(TINY, 3, seed=5, folder=tmp_path, progress=lambda *done: seen.append(done))
     assert resumed.starts == whole.starts
-    assert sorted(seen) == [0, 1, 2]
+    assert seen == [(2, 3), (3, 3)]
     assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
 
 

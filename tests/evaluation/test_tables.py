@@ -73,7 +73,7 @@ def test_consistency_of_errors_drawn_from_their_covariance():
     rows = []
     for xi in rng.normal(size=(2000, 6)) * sigma:
         rows.append(
-            row(nees=float(((xi / sigma) ** 2).sum()))
+            row(nees=float(((xi / sigma) ** 2).sum()), vertex0_nees=float(((xi / sigma)[3:] ** 2).sum()))
             | {f"error_{axis}": x for axis, x in zip(AXES, xi, strict=True)}
             | {f"sigma_{axis}": s for axis, s in zip(AXES, sigma, strict=True)}
         )
@@ -81,6 +81,7 @@ def test_consistency_of_errors_drawn_from_their_covariance():
     assert result["scans"] == 2000
     assert result["nees_low"] < 1 < result["nees_high"]
     assert result["nees_per_dof"] == pytest.approx(1, abs=4 / np.sqrt(3 * 2000))  # chi-square mean, 4 sigma
-    for name in ("coverage", *(f"coverage_{axis}" for axis in AXES)):
+    assert result["vertex0_nees_per_dof"] == pytest.approx(1, abs=4 * np.sqrt(2 / (3 * 2000)))
+    for name in ("coverage", "vertex0_coverage", *(f"coverage_{axis}" for axis in AXES)):
         assert result[name] == pytest.approx(0.95, abs=4 * np.sqrt(0.05 * 0.95 / 2000))
     assert consistency([]) == {"scans": 0}

@@ -1,0 +1,76 @@
+"""A camera's projection by OpenCV's two lens models, over arrays of points.
+
+`pinhole` is OpenCV's radial-tangential (or rational) model, `equidistant` its fisheye model (Kannala and Brandt,
+PAMI 2006). Camera frame: x right, y down, z forward; pixels (u, v) from the centre of the top left one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from optshape_graph._arrays import Floats
+from optshape_graph.camera import CameraIntrinsics
+from optshape_graph.errors import missing_extra
+
+NEWTON_STEPS = 10
+NEGLIGIBLE_PX = 1e-7
+
+
+def opencv() -> Any:
+    """Return the `cv2` module.
+
+    Raises:
+        MissingExtraError: OpenCV is not installed.
+    """
+    try:
+        import cv2
+    except ImportError as cause:
+        raise missing_extra("opencv-python-headless", "camera", cause) from cause
+    return cv2
+
+
+def project(camera: CameraIntrinsics, points: Floats) -> Floats:
+    """Return the pixels (N, 2) of points (N, 3), metres, camera frame, in front of the camera."""
+    return projected(camera, points, np.zeros(3), np.zeros(3))[0]
+
+
+def projection_derivative(camera: CameraIntrinsics, points: Floats) -> Floats:
+    """Return the derivative (N, 2, 3) of the pixels by points (N, 3), pixels per metre, camera frame."""
+    return projected(camera, points, np.zeros(3), np.zeros(3))[1][:, :, 3:]
+
+
+def normalised(camera: CameraIntrinsics, pixels: Floats) -> Floats:
+    """Return x / z and y / z (N, 2) of the rays through pixels (N, 2)."""
+    cv2 = opencv()
+    undistort = cv2.fisheye.undistortPoints if camera.model == "equidistant" else cv2.undistortPoints
+    image = np.ascontiguousarray(pixels, dtype=float).reshape(-1, 1, 2)
+    rays = np.asarray(undistort(image, np.array(camera.K), _distortion(camera)), dtype=float).reshape(-1, 2)
+    # OpenCV stops early for strong distortion: Newton steps finish it.
+    for _ in range(NEWTON_STEPS):
+        on_plane = np.column_stack([rays, np.ones(len(rays))])
+        errors = project(camera, on_plane) - pixels
+        if np.abs(errors).max(initial=0.0) < NEGLIGIBLE_PX:
+            break
+        rays = rays - np.linalg.solve(projection_derivative(camera, on_plane)[:, :, :2], errors[..., None])[..., 0]
+    return rays
+
+
+def projected(camera: CameraIntrinsics, points: Floats, rotation: Floats, translation: Floats) -> tuple[Floats, Floats]:
+    """Return pixels (N, 2) and their derivative (N, 2, 6) by (rotation vector, translation) of T_camera_points."""
+    cv2 = opencv()
+    objects = np.ascontiguousarray(points, dtype=float).reshape(-1, 1, 3)
+    if camera.model == "equidistant":
+        pixels, jacobian = cv2.fisheye.projectPoints(
+            objects, rotation.reshape(3, 1), translation.reshape(3, 1), np.array(camera.K), _distortion(camera)
+        )
+        motion = jacobian[:, 8:14]  # columns: f (2), c (2), k (4), rotation (3), translation (3), skew
+    else:
+        pixels, jacobian = cv2.projectPoints(objects, rotation, translation, np.array(camera.K), _distortion(camera))
+        motion = jacobian[:, :6]
+    return np.asarray(pixels, float).reshape(-1, 2), np.asarray(motion, float).reshape(-1, 2, 6)
+
+
+def _distortion(camera: CameraIntrinsics) -> Floats:
+    return np.array(camera.D) if len(camera.D) else np.zeros(4)

@@ -1,0 +1,82 @@
+"""`optshape evaluate mocap`: estimates on recordings against motion capture, beside the paper's Table II."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "published_": "paper"}
+"""Prefix of columns, and what the printed table calls them."""
+
+
+@click.command()
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path), metavar="DIR")
+@click.option("--reference", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",
+              help="Another method's estimates, to compare in the same way: JSON, 'session folder/scan' to an entry "
+                   "with T_lidar_target_paper.")  # fmt: skip
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), default=Path("evaluation"),
+              show_default=True, help="Folder for the table.")  # fmt: skip
+def command(folder: Path, reference: Path | None, json_path: Path | None, output: Path) -> int:
+    """Compare the estimates of several sessions with their markers.
+
+    DIR holds session folders, each with a session.yaml. Errors are leave-one-out: each scan is compared in a frame
+    fitted to the other scans of its session. Writes mocap.csv and mocap.parquet to the output folder. Exit status 3:
+    some scans took no part; the results of the others are written.
+
+    Example: optshape evaluate mocap recordings -o evaluation
+    """
+    from optshape_graph.cli.console import print_table, progress_bar
+    from optshape_graph.evaluation.mocap import (
+        PROTOCOLS,
+        evaluate_mocap,
+        find_sessions,
+        load_reference,
+        mean_errors,
+    )
+    from optshape_graph.evaluation.tables import write_csv, write_parquet
+    from optshape_graph.io.documents import write_json
+
+    output.mkdir(parents=True, exist_ok=True)
+    sessions = find_sessions(folder)
+    estimates = None if reference is None else load_reference(reference)
+    with progress_bar("estimating") as progress:
+        rows, left_out = evaluate_mocap(sessions, estimates, progress)
+    for item in left_out:
+        click.echo(f"optshape: left out {item.scan}: {item.reason}", err=True)
+    write_csv(output / "mocap.csv", rows)
+    write_parquet(output / "mocap.parquet", rows)
+    means = {prefix: mean_errors(rows, prefix) for prefix in PROTOCOLS}
+    if json_path:
+        document: dict[str, Any] = {
+            "schema": "optshape/mocap-evaluation/1",
+            "protocol": "leave-one-out",
+            "scans": rows,
+            "mean": means[""],
+            **{f"{prefix}mean": mean for prefix, mean in means.items() if prefix},
+            "left_out": [{"scan": item.scan, "reason": item.reason} for item in left_out],
+        }
+        write_json(json_path, document)
+    shown = [prefix for prefix in PROTOCOLS if any(row[f"{prefix}rmse_m"] is not None for row in rows)]
+    print_table(
+        "Table II: estimates against the markers, RMSE [m] / e_t [m] / e_r [deg]",
+        ["scan", "distance [m]", "returns", *(OF[prefix] for prefix in shown)],
+        [
+            *([f"{row['session']}/{row['scan']}", f"{row['distance_m']:.2f}", str(row["n_points"]),
+               *(_errors(row, prefix) for prefix in shown)] for row in rows),
+            ["mean", "", "", *(_errors(means[prefix], "") for prefix in shown)],
+        ],
+        "ours, reference: leave-one-out, each scan in a frame fitted to the others of its session. in-sample: ours, in "
+        "a frame fitted to all. paper: as printed, on markers stretched by 3 %, in a frame fitted to its estimates.",
+    )  # fmt: skip
+    click.echo(f"{len(rows)} scans; table in {output}")
+    return 3 if left_out else 0
+
+
+def _errors(row: Mapping[str, Any] | None, prefix: str) -> str:
+    if row is None or row[f"{prefix}rmse_m"] is None:
+        return "-"
+    return f"{row[f'{prefix}rmse_m']:.3f} {row[f'{prefix}e_t_m']:.3f} {row[f'{prefix}e_r_deg']:.2f}"

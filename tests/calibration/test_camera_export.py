@@ -1,0 +1,67 @@
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from optshape_graph.calibration.camera_calibration import calibrate
+from optshape_graph.calibration.camera_export import as_document, kalibr_camchain, static_transforms
+from optshape_graph.io import load_camera
+from optshape_graph.io.documents import write_json, write_yaml
+from tests.calibration.camera_support import FISHEYE, synthetic_views, transform
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrate(synthetic_views(6, np.random.default_rng(0)))
+
+
+def test_json_has_the_stated_keys(calibration, tmp_path):
+    write_json(tmp_path / "a.json", as_document(calibration))
+    document = json.loads((tmp_path / "a.json").read_text())
+    assert document["schema"] == "optshape/camera/1"
+    assert np.allclose(document["T_camera_lidar"], calibration.transform("cam", "lidar")[0])
+    assert np.shape(document["covariance"]) == (6, 6)
+    assert np.allclose(np.linalg.inv(document["T_camera_lidar"]), document["T_lidar_camera"])
+    assert document["range_bias_m"] == calibration.range_bias("lidar")[0]
+    keys = {
+        "scan",
+        "image",
+        "used",
+        "reason",
+        "centre_error_mm",
+        "plane_offset_mm",
+        "normal_error_deg",
+        "reprojection_px",
+    }
+    assert keys <= set(document["views"][0])
+    assert document["cross_validation"]["protocol"] == "leave-one-out"
+    assert document["k_fold"]["protocol"] == "k-fold, k = 5"
+
+
+def test_camchain_reads_back(calibration, tmp_path):
+    chain = kalibr_camchain(calibration)
+    extrinsic = chain["cam0"].pop("T_cam_lidar")
+    assert np.allclose(extrinsic, calibration.transform("cam", "lidar")[0])
+    write_yaml(tmp_path / "camchain.yaml", chain)
+    camera = load_camera(tmp_path / "camchain.yaml")
+    assert np.allclose(camera.K, FISHEYE.K)
+    assert np.allclose(camera.D, FISHEYE.D)
+
+
+def test_ros_and_urdf_lines_are_the_transform():
+    T = transform(Rotation.from_rotvec([0.3, -1.2, 2.0]).as_matrix(), np.array([0.1, -0.2, 0.3]))
+    lines = static_transforms("lidar", "camera", T)
+    words = lines["ros1"].split()
+    assert words[:3] == ["rosrun", "tf2_ros", "static_transform_publisher"]
+    assert words[-2:] == ["lidar", "camera"]
+    x, y, z, qx, qy, qz, qw = map(float, words[3:10])
+    assert np.allclose([x, y, z], T[:3, 3])
+    assert np.allclose(Rotation.from_quat([qx, qy, qz, qw]).as_matrix(), T[:3, :3])
+    words = lines["ros2"].split()
+    named = dict(zip(words[4::2], words[5::2], strict=True))
+    assert named["--frame-id"] == "lidar"
+    assert named["--child-frame-id"] == "camera"
+    assert np.allclose([float(named[f"--q{k}"]) for k in "xyzw"], [qx, qy, qz, qw])
+    rpy = [float(v) for v in lines["urdf"].split('rpy="')[1].rstrip('"/>').split()]
+    assert np.allclose(Rotation.from_euler("xyz", rpy).as_matrix(), T[:3, :3])  # URDF: fixed axes, roll first

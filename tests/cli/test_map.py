@@ -1,0 +1,87 @@
+"""`optshape map`: sessions and recordings in, maps and trajectories out."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import optshape_graph
+from optshape_graph.cli.map import command
+from optshape_graph.io import load_session, save_sensor, save_target, write_scan
+from optshape_graph.io.trajectories import Trajectory, read_g2o, read_tum, write_tum
+from optshape_graph.mapping import load_map
+from tests.mapping.test_recording import SENSOR, TARGET, WHERE, drive
+
+DEMO = Path(optshape_graph.__file__).parent / "data" / "demo" / "session.yaml"
+
+
+def run(*arguments, code=0):
+    result = CliRunner().invoke(command, [str(a) for a in arguments], catch_exceptions=True)
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """A folder of clouds with timestamps, and the robot's poses."""
+    folder = tmp_path_factory.mktemp("drive")
+    scans, poses = drive(4)
+    for k, stamped in enumerate(scans):
+        write_scan(folder / f"{k:04}.pcd", stamped.value)
+    (folder / "0009.pcd").write_bytes((folder / "0003.pcd").read_bytes()[:5000])  # a truncated file
+    stamps = [stamped.stamp for stamped in scans] + [scans[-1].stamp + 0.1]
+    (folder / "timestamps.txt").write_text("".join(f"{stamp:.6f}\n" for stamp in stamps))
+    odometry = Trajectory(np.array([p.value for p in poses]), np.array([p.stamp for p in poses]))
+    write_tum(folder / "odometry.tum", odometry)
+    save_sensor(folder / "lidar.yaml", SENSOR)
+    save_target(folder / "board.yaml", TARGET)
+    return folder
+
+
+def test_a_recording_becomes_a_map(recording, tmp_path):
+    output = run(
+        recording, "--targets", recording / "board.yaml", "--sensor", recording / "lidar.yaml",
+        "--json", tmp_path / "map.json", "--tum", tmp_path / "t.tum", "--kitti", tmp_path / "t.kitti",
+        "--g2o", tmp_path / "g.g2o", "--plot", tmp_path / "map.png",
+    )  # fmt: skip
+    assert "2 landmarks, 4 poses" in output
+    assert "1 scans skipped: unreadable file" in output
+    found = load_map(tmp_path / "map.json")
+    for landmark in found.landmarks:
+        assert min(np.linalg.norm(landmark.T_world_target[:3, 3] - T[:3, 3]) for T in WHERE) < 0.05
+        assert landmark.observations >= 3
+    [trajectory] = found.trajectories.values()
+    np.testing.assert_allclose(read_tum(tmp_path / "t.tum").poses, trajectory.poses, atol=1e-9)
+    assert len(read_g2o(tmp_path / "g.g2o").vertices) == 6
+    assert (tmp_path / "map.png").stat().st_size > 1000
+
+    # The map made is what the next run starts from.
+    again = run(
+        recording, "--targets", recording / "board.yaml", "--sensor", recording / "lidar.yaml", "--known",
+        tmp_path / "map.json", "--lag", 0.5, "--json", tmp_path / "again.json",
+    )  # fmt: skip
+    assert "2 landmarks" in again
+    assert {m.id for m in load_map(tmp_path / "again.json").landmarks} == {m.id for m in found.landmarks}
+
+
+def test_a_session_without_odometry_is_placed_by_its_target(tmp_path):
+    run(DEMO, "--one-each", "--json", tmp_path / "map.json")
+    document = json.loads((tmp_path / "map.json").read_text())
+    session = load_session(DEMO)
+    assert [landmark["id"] for landmark in document["landmarks"]] == [t.name for t in session.targets.values()]
+    assert len(document["trajectory"]) == len(session.views)
+
+
+def test_nothing_found_is_exit_status_three(recording, tmp_path):
+    output = run(recording, "--targets", "triangle@0.05", "--sensor", recording / "lidar.yaml",
+                 "--json", tmp_path / "map.json", code=3)  # fmt: skip
+    assert "0 landmarks" in output
+    assert load_map(tmp_path / "map.json").landmarks == ()
+
+
+def test_wrong_usage(recording):
+    assert "--targets is needed" in run(recording, code=2)
+    assert "names its own targets" in run(DEMO, "--targets", "paper", code=2)
+    assert "--as-built needs the batch" in run(DEMO, "--as-built", 0.01, "--no-batch", code=2)

@@ -1,0 +1,33 @@
+"""The map and the graph draw what they hold."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from optshape_graph.mapping import Landmark, Map
+from optshape_graph.viz.map import plot_map, plot_structure
+from tests.factors.support import TARGET
+from tests.mapping.support import at, covariance, loop
+from tests.mapping.test_batch import problem_of
+
+
+def test_landmarks_and_ellipses_are_where_they_belong(tmp_path):
+    T = at(3.0, 4.0, 0.5)
+    C = covariance([0.1, 0.1, 0.1, 0.2, 0.1, 0.1])
+    figure = plot_map(Map((Landmark("a", TARGET, T, C),)))
+    outline, ellipse = (line.get_xydata() for line in figure.axes[0].lines)
+    np.testing.assert_allclose(outline[:-1], (TARGET.vertices @ T[:3, :3].T + T[:3, 3])[:, :2])
+    # Three standard deviations: 0.6 m along the target's normal, 0.3 m across.
+    radii = np.linalg.norm(ellipse - T[:2, 3], axis=1)
+    assert radii.max() == pytest.approx(0.6, rel=1e-2)
+    assert radii.min() == pytest.approx(0.3, rel=1e-2)
+    figure.savefig(tmp_path / "map.png")
+
+
+def test_structure_has_a_line_for_every_factor():
+    problem = problem_of(loop(length=100.0, n_poses=20, n_targets=5), 0)
+    figure = plot_structure(problem)
+    seen, moved = figure.axes[0].collections
+    assert len(seen.get_segments()) == len(problem.tracks[0].matches)
+    assert len(moved.get_segments()) == 19
