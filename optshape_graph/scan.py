@@ -12,7 +12,6 @@ from optshape_graph._arrays import Floats, Ints, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.sensor import SensorModel
 
-
 Values = TypeVar("Values", Floats | None, Ints | None)
 
 

@@ -1,0 +1,207 @@
+"""Which sighting is of which landmark: gating by Mahalanobis distance, and joint compatibility.
+
+A pairing of a sighting with a landmark predicts T_target_lidar = T_world_target^-1 T_world_lidar. What was measured
+differs by e = Log(H_hat^-1 H), whose covariance is that of the measurement and of both poses, which are correlated:
+their common drift does not make a landmark harder to recognise. All pairings of one scan are judged together (Neira and
+Tardos, Data association in stochastic mapping using the joint compatibility test, IEEE TRA 2001).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import gtsam
+import numpy as np
+from scipy.stats import chi2
+
+from optshape_graph._arrays import Floats, Ints
+from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.factors.summary import Summary, summarise
+from optshape_graph.mapping.sighting import Sighting
+
+CONFIDENCE = 0.999
+"""Share of the right pairings that pass the gate, if covariances are right."""
+
+MOST_TRIED = 2000
+"""Number of combinations of pairings after which the search for the best one ends with what it has."""
+
+
+@lru_cache
+def gate(dof: int) -> float:
+    """Return the squared Mahalanobis distance that a share of CONFIDENCE of the right pairings stays below."""
+    return float(chi2.ppf(CONFIDENCE, dof))
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """A sighting taken for a landmark, in one of its hypotheses.
+
+    Attributes:
+        sighting: which of the scan's sightings.
+        landmark: name of the landmark.
+        hypothesis: which of the sighting's hypotheses.
+        T_target_lidar: (4, 4) predicted pose H, where the measurement is summarised.
+        summary: of the measurement there.
+        residual: (6,) of the predicted pose, whitened by the measurement alone.
+        jacobian: (6, 12) derivative of the residual by the landmark's pose, then the LiDAR's, right perturbations.
+        distance: squared Mahalanobis distance, poses' covariance included; infinite before that is known.
+        likelihood: twice the negative log likelihood: the distance and the log determinant of its covariance.
+    """
+
+    sighting: int
+    landmark: str
+    hypothesis: int
+    T_target_lidar: Floats
+    summary: Summary
+    residual: Floats
+    jacobian: Floats
+    distance: float = np.inf
+    likelihood: float = np.inf
+
+
+def predictions(
+    sightings: Sequence[Sighting], possible: Sequence[Mapping[str, Floats]], T_world_lidar: Floats
+) -> list[Pairing]:
+    """Return every pairing of sightings with the landmarks that they may be of, under each hypothesis.
+
+    Args:
+        sightings: of one scan.
+        possible: for each of them, T_world_target (4, 4) by the landmark's name.
+        T_world_lidar: (4, 4) predicted.
+    """
+    tried = [
+        (k, name, h, measurement, inverse(T) @ T_world_lidar)
+        for k, (sighting, landmarks) in enumerate(zip(sightings, possible, strict=True))
+        for name, T in landmarks.items()
+        for h, measurement in enumerate(sighting.hypotheses)
+    ]
+    if not tried:
+        return []
+    H = np.stack([one[4] for one in tried])
+    summaries = summarise([one[3] for one in tried], H)
+    residuals, jacobians = innovations(summaries, H)
+    return [
+        Pairing(k, name, h, T, summary, residual, jacobian)
+        for (k, name, h, _, T), summary, residual, jacobian in zip(tried, summaries, residuals, jacobians, strict=True)
+    ]
+
+
+def innovations(summaries: Sequence[Summary], T_target_lidar: Floats) -> tuple[Floats, Floats]:
+    """Return residuals (m, 6) of predicted poses (m, 4, 4), whitened, and their derivatives (m, 6, 12) by both poses.
+
+    The target's pose comes first, then the LiDAR's.
+    """
+    S = np.stack([summary.sqrt_information for summary in summaries])
+    difference = inverse(np.stack([summary.T_target_lidar for summary in summaries])) @ T_target_lidar
+    steps = np.stack([gtsam.Pose3.Logmap(gtsam.Pose3(T)) for T in difference])
+    # Log(H_hat^-1 H Exp(xi)) = step + J_r^-1(step) xi, and the target moves H by -Ad(H^-1) xi.
+    by_lidar = S @ np.stack([gtsam.Pose3.LogmapDerivative(step) for step in steps])
+    by_target = -by_lidar @ adjoint(inverse(T_target_lidar))
+    return (S @ steps[..., None])[..., 0], np.concatenate([by_target, by_lidar], axis=2)
+
+
+def distance(residual: Floats, jacobian: Floats, covariance: Floats) -> tuple[float, float]:
+    """Return the squared Mahalanobis distance of a whitened residual, and the log determinant of its covariance."""
+    S = np.linalg.cholesky(np.eye(len(residual)) + jacobian @ covariance @ jacobian.T)
+    white = np.linalg.solve(S, residual)
+    return float(white @ white), 2.0 * float(np.log(np.diag(S)).sum())
+
+
+def plain(pairings: Sequence[Pairing], n_sightings: int, motion: Floats) -> list[Pairing | None] | None:
+    """Return the pairings if there is one for each sighting and the last motion's uncertainty alone explains it.
+
+    The poses' own covariance can only make the distance smaller, so such a pairing passes the gate whatever that is,
+    and it need not be asked for. None: it must be.
+
+    Args:
+        pairings: all of a scan.
+        n_sightings: their number.
+        motion: (6, 6) covariance of the odometry since the pose before.
+    """
+    if len(pairings) != n_sightings or len({pairing.landmark for pairing in pairings}) < n_sightings:
+        return None
+    if [pairing.sighting for pairing in pairings] != list(range(n_sightings)):
+        return None
+    residual = np.stack([pairing.residual for pairing in pairings])
+    J = np.stack([pairing.jacobian[:, 6:] for pairing in pairings])
+    S = np.eye(6) + J @ motion @ np.swapaxes(J, 1, 2)
+    d2 = np.einsum("mi,mi->m", residual, np.linalg.solve(S, residual[..., None])[..., 0])
+    return list(pairings) if d2.max() < gate(6) else None
+
+
+def gated(pairings: Sequence[Pairing], covariance: Floats, order: Mapping[str, int]) -> list[Pairing]:
+    """Return the pairings that pass the gate alone, each sighting with each landmark in its best hypothesis.
+
+    Args:
+        pairings: all of a scan.
+        covariance: joint covariance of all landmarks in question and the LiDAR's pose, which is last.
+        order: position of each landmark's block in `covariance`.
+    """
+    best: dict[tuple[int, str], Pairing] = {}
+    for pairing in pairings:
+        rows = block(order[pairing.landmark], len(covariance))
+        d2, log_det = distance(pairing.residual, pairing.jacobian, covariance[np.ix_(rows, rows)])
+        rival = best.get((pairing.sighting, pairing.landmark))
+        if d2 < gate(6) and (rival is None or d2 < rival.distance):
+            best[pairing.sighting, pairing.landmark] = replace(pairing, distance=d2, likelihood=d2 + log_det)
+    return sorted(best.values(), key=lambda pairing: pairing.likelihood)
+
+
+def block(position: int, size: int) -> Ints:
+    """Return the rows of a landmark and of the LiDAR's pose, which is last, in a joint covariance of `size` rows."""
+    return np.concatenate([np.arange(6 * position, 6 * position + 6), np.arange(size - 6, size)])
+
+
+def associate(
+    pairings: Sequence[Pairing], n_sightings: int, covariance: Floats, order: Mapping[str, int]
+) -> list[Pairing | None]:
+    """Choose a pairing for each sighting of a scan: as many as are jointly compatible, and of those the likeliest.
+
+    No two sightings are of one landmark.
+
+    Args:
+        pairings: that have passed the gate alone, the likeliest first.
+        n_sightings: number of sightings of the scan.
+        covariance: joint covariance of the landmarks and the LiDAR's pose, which is last.
+        order: position of each landmark's block in `covariance`.
+    """
+    candidates = [[p for p in pairings if p.sighting == k] for k in range(n_sightings)]
+    best: list[Pairing | None] = [None] * n_sightings
+    best_rank = (0, np.inf)
+    tried = 0
+
+    def search(chosen: list[Pairing | None], likelihood: float) -> None:
+        nonlocal best, best_rank, tried
+        paired = sum(pairing is not None for pairing in chosen)
+        left = len(candidates) - len(chosen)
+        if paired + left < -best_rank[0] or tried > MOST_TRIED:
+            return
+        if not left:
+            best_rank, best = min((best_rank, best), ((-paired, likelihood), chosen), key=lambda ranked: ranked[0])
+            return
+        taken = {pairing.landmark for pairing in chosen if pairing is not None}
+        for pairing in candidates[len(chosen)]:
+            if pairing.landmark in taken:
+                continue
+            tried += 1
+            compatible, joint = _joint([*chosen, pairing], covariance, order)
+            if compatible:
+                search([*chosen, pairing], joint)
+        search([*chosen, None], likelihood)
+
+    search([], 0.0)
+    return best
+
+
+def _joint(chosen: Sequence[Pairing | None], covariance: Floats, order: Mapping[str, int]) -> tuple[bool, float]:
+    """Say whether pairings are compatible all together, and how likely they are."""
+    pairs = [pairing for pairing in chosen if pairing is not None]
+    if len(pairs) == 1:
+        return True, pairs[0].likelihood  # it has passed the gate alone
+    J = np.zeros((6 * len(pairs), len(covariance)))
+    for k, pairing in enumerate(pairs):
+        J[6 * k : 6 * k + 6, block(order[pairing.landmark], len(covariance))] = pairing.jacobian
+    d2, log_det = distance(np.concatenate([pairing.residual for pairing in pairs]), J, covariance)
+    return d2 < gate(6 * len(pairs)), d2 + log_det

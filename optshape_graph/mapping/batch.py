@@ -1,0 +1,375 @@
+"""The whole map at once: Gauss-Newton on the exact factors, over all sessions, at the cost of a few sparse solves.
+
+In every iteration all measurements are linearised together, as arrays, where they are: that is what a summary made
+there would contribute, without making it. Odometry and priors are GTSAM's. The step is GTSAM's multifrontal Cholesky.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import pairwise
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, V, X
+
+from optshape_graph._arrays import Floats
+from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.factors import SummaryFactor, summarise
+from optshape_graph.factors._noise import gaussian
+from optshape_graph.factors.se3 import adjoint, inverse, vec, vec_derivative
+from optshape_graph.io.trajectories import PoseGraph, PoseGraphEdge, Trajectory
+from optshape_graph.mapping.incremental import LOSS
+from optshape_graph.mapping.map import Landmark, Map
+from optshape_graph.mapping.priors import joint_prior, sqrt_information
+from optshape_graph.mapping.shapes import Shapes
+from optshape_graph.mapping.track import Keys, MappingProblem
+from optshape_graph.target import Target
+
+MAX_ITERATIONS = 50
+"""Iterations at most."""
+
+CONVERGED = 1e-4
+"""Decrease of the cost, in half a chi-square, promised by a step that is the last one: about a hundredth of a standard
+deviation, and what is left after it is far less."""
+
+RIDGE = 1e-12
+"""Information added in all directions, relative to a match's own."""
+
+ROUNDING = 1e-12
+"""Relative rise of the cost that is rounding."""
+
+MOST_HALVINGS = 12
+"""How often a step that raises the cost is halved before it is given up."""
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """How well a match fits.
+
+    Attributes:
+        track: name of the session.
+        pose: number of the LiDAR pose.
+        landmark: name of the landmark.
+        chi2: what of the measurement's chi-square its own best pose would take away: 6 degrees of freedom.
+        weight: that the robust loss gives it, 0 to 1.
+    """
+
+    track: str
+    pose: int
+    landmark: str
+    chi2: float
+    weight: float
+
+
+@dataclass(frozen=True, eq=False)
+class BatchSolution:
+    """A solved map.
+
+    Attributes:
+        problem: what was solved.
+        values: all variables.
+        error: half the chi-square, exact, robust loss applied.
+        converged: whether a further step would gain nothing.
+        iterations: steps taken.
+        residuals: one for each match, in the order of tracks and matches.
+        linearise: makes the graph, linearised at the solution.
+        keys: of the poses of each track, and of the landmarks.
+        templates: of the landmarks, their vertices as built where those were refined.
+    """
+
+    problem: MappingProblem
+    values: gtsam.Values
+    error: float
+    converged: bool
+    iterations: int
+    residuals: tuple[Residual, ...]
+    linearise: Callable[[], gtsam.GaussianFactorGraph]
+    keys: Keys
+    templates: Mapping[str, Target]
+
+    def trajectory(self, track: str) -> Trajectory:
+        """Return the poses of a session."""
+        k = [t.name for t in self.problem.tracks].index(track)
+        poses = np.array([self.values.atPose3(key).matrix() for key in self.keys.poses[k]])
+        return Trajectory(poses.reshape(-1, 4, 4), self.problem.tracks[k].stamps, track)
+
+    @property
+    def landmarks(self) -> dict[str, Floats]:
+        """T_world_target (4, 4) of each landmark."""
+        return {name: self.values.atPose3(key).matrix() for name, key in self.keys.landmarks.items()}
+
+    @cached_property
+    def _marginals(self) -> gtsam.Marginals:
+        return gtsam.Marginals(self.linearise(), self.values)
+
+    def covariance(self, landmarks: Sequence[str] = (), poses: Sequence[tuple[str, int]] = ()) -> Floats:
+        """Return the joint covariance of landmarks and poses (session, number), right perturbations, rotation first.
+
+        Raises:
+            EstimationError: something is not determined by what was measured.
+        """
+        names = [track.name for track in self.problem.tracks]
+        keys = [self.keys.landmarks[name] for name in landmarks]
+        keys += [self.keys.poses[names.index(track)][number] for track, number in poses]
+        try:
+            return np.asarray(self._marginals.jointMarginalCovariance(keys).fullMatrix())
+        except RuntimeError as error:
+            raise EstimationError(f"the map is not determined: {error}") from error
+
+    def map(self) -> Map:
+        """Return the map."""
+        names = list(self.keys.landmarks)
+        joint = self.covariance(names) if names else None
+        seen = dict.fromkeys(names, 0)
+        for residual in self.residuals:
+            seen[residual.landmark] += 1
+        known = {} if self.problem.known is None else {m.id: m.observations for m in self.problem.known.landmarks}
+        landmarks = []
+        for k, (name, T) in enumerate(self.landmarks.items()):
+            assert joint is not None  # there is a landmark
+            block = joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
+            landmarks.append(Landmark(name, self.templates[name], T, block, seen[name] + known.get(name, 0)))
+        earlier = {} if self.problem.known is None else dict(self.problem.known.trajectories)
+        return Map(tuple(landmarks), joint, earlier | {t.name: self.trajectory(t.name) for t in self.problem.tracks})
+
+
+def solve_batch(problem: MappingProblem, *, robust: bool = True, as_built_sigma: float | None = None) -> BatchSolution:
+    """Solve for all poses and landmarks.
+
+    Args:
+        problem: of one or several sessions.
+        robust: Huber's loss on every match, as in the incremental solver; otherwise least squares.
+        as_built_sigma: standard deviation of the vertices about the template, metres: refines the vertices of each
+            landmark whose sightings have their `shape`; None: templates are exact.
+
+    Raises:
+        InputError: nothing to solve for.
+        EstimationError: the measurements do not determine poses and landmarks.
+    """
+    if not problem.tracks or not sum(len(track.stamps) for track in problem.tracks):
+        raise InputError("a map without a pose: nothing to solve for")
+    return _Batch(problem, robust, as_built_sigma).solve()
+
+
+class _Batch:
+    """A problem as arrays: the exact cost and its Gauss-Newton model anywhere."""
+
+    def __init__(self, problem: MappingProblem, robust: bool, as_built_sigma: float | None) -> None:
+        self.problem = problem
+        self.loss = LOSS if robust else np.inf
+        matches = [match for track in problem.tracks for match in track.matches]
+        self.shapes = Shapes.of(problem, as_built_sigma)
+        offset = np.cumsum([0] + [len(track.stamps) for track in problem.tracks])
+        poses = tuple(tuple(X(int(k)) for k in range(a, b)) for a, b in pairwise(offset))
+        names = list(problem.T_world_target)
+        self.keys = Keys(
+            poses,
+            {name: L(k) for k, name in enumerate(names)},
+            {name: V(names.index(name)) for name in self.shapes.targets},
+        )
+        self.pose = np.array([offset[t] + m.pose for t, track in enumerate(problem.tracks) for m in track.matches], int)
+        self.landmark = np.array([names.index(match.landmark) for match in matches], int)
+        measurements = [match.measurement for match in matches]
+        self.L = np.array([m.L for m in measurements]).reshape(-1, 12, 12)
+        self.b = np.array([m.b for m in measurements]).reshape(-1, 12)
+        self.constant = np.array([m.c**2 for m in measurements])
+        self.others = self._others()
+
+    def solve(self) -> BatchSolution:
+        values = self._initial()
+        error, iterations = self._cost(values), 0
+        if not np.isfinite(error):
+            raise EstimationError(f"the cost of the initial map is {error}: a measurement is not finite there")
+        converged = False
+        while not converged and iterations < MAX_ITERATIONS:
+            linear = self._linearise(values)
+            try:
+                step = linear.optimize()
+            except RuntimeError as problem:
+                raise EstimationError(f"poses and landmarks are not determined: {problem}") from problem
+            converged = -0.5 * linear.gradientAtZero().dot(step) < CONVERGED
+            moved, lower = self._descend(values, step, error)
+            if lower > error * (1 + ROUNDING):
+                self._cost(values)  # the model is of these
+                break
+            values, error = moved, lower
+            iterations += 1
+        return BatchSolution(
+            problem=self.problem,
+            values=values,
+            error=error,
+            converged=converged,
+            iterations=iterations,
+            residuals=self._residuals(),
+            linearise=partial(self._linearise, values),
+            keys=self.keys,
+            templates=self.shapes.refined(self.problem, values, self.keys.shapes),
+        )
+
+    def _descend(self, values: gtsam.Values, step: gtsam.VectorValues, error: float) -> tuple[gtsam.Values, float]:
+        """Take the step, halved until the cost does not rise."""
+        for _ in range(MOST_HALVINGS):
+            moved = values.retract(step)
+            lower = self._cost(moved)
+            if lower <= error * (1 + ROUNDING):
+                break
+            step = step.scale(0.5)
+        return moved, lower
+
+    def _initial(self) -> gtsam.Values:
+        values = gtsam.Values()
+        for keys, track in zip(self.keys.poses, self.problem.tracks, strict=True):
+            for key, T in zip(keys, track.T_world_lidar, strict=True):
+                values.insert(key, gtsam.Pose3(T))
+        for name, T in self.problem.T_world_target.items():
+            values.insert(self.keys.landmarks[name], gtsam.Pose3(T))
+        self.shapes.insert(values, self.keys.shapes)
+        return values
+
+    def _others(self) -> gtsam.NonlinearFactorGraph:
+        """Odometry, starts, what was known of landmarks, and templates as priors of as-built vertices."""
+        graph = gtsam.NonlinearFactorGraph()
+        for keys, track in zip(self.keys.poses, self.problem.tracks, strict=True):
+            if track.start is not None:
+                noise = gaussian(sqrt_information(track.start.covariance))
+                graph.push_back(gtsam.PriorFactorPose3(keys[0], gtsam.Pose3(track.start.T_world_lidar), noise))
+            for odometry in track.odometry:
+                noise = gaussian(sqrt_information(odometry.covariance))
+                T = gtsam.Pose3(odometry.T_i_j)
+                graph.push_back(gtsam.BetweenFactorPose3(keys[odometry.i], keys[odometry.j], T, noise))
+        known = self.problem.known
+        if known is not None and known.landmarks:
+            ids = [self.keys.landmarks[landmark.id] for landmark in known.landmarks]
+            for factor in joint_prior(ids, [m.T_world_target for m in known.landmarks], known.covariance):
+                graph.push_back(factor)
+        self.shapes.add_priors(graph, self.keys.shapes)
+        return graph
+
+    def _relative(self, values: gtsam.Values) -> Floats:
+        """(K, 4, 4) T_target_lidar of every match."""
+        world = _poses(values)  # sorted by key: L before X
+        landmarks, poses = world[: len(self.keys.landmarks)], world[len(self.keys.landmarks) :]
+        return np.asarray(inverse(landmarks[self.landmark]) @ poses[self.pose])
+
+    def _model(self, H: Floats) -> _Model:
+        """Return the Gauss-Newton model of every match at T_target_lidar (K, 4, 4)."""
+        r = (self.L @ vec(H)[..., None])[..., 0] + self.b
+        J = self.L @ vec_derivative(H)
+        Jt = np.swapaxes(J, 1, 2)
+        information = Jt @ J
+        # A sighting that leaves a direction open has no square root; this much is far below what anything measures.
+        information += RIDGE * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(6)
+        R = np.linalg.cholesky(information)
+        d = np.linalg.solve(R, Jt @ r[..., None])[..., 0]
+        chi2 = np.square(d).sum(axis=1)
+        weight = np.minimum(1.0, self.loss / np.sqrt(np.maximum(chi2, 1e-12)))
+        return _Model(H, np.swapaxes(R, 1, 2), d, np.square(r).sum(axis=1) - chi2, weight)
+
+    def _cost(self, values: gtsam.Values) -> float:
+        """Half the chi-square, exact. The model made on the way is kept, for `_linearise` at the same values."""
+        self.model = self._model(self._relative(values))
+        chi2, weight = np.square(self.model.d).sum(axis=1), self.model.weight
+        # Huber: quadratic up to the loss, then a line; what no pose takes away counts in full.
+        line = weight < 1.0
+        huber = chi2.copy()
+        huber[line] = 2 * self.loss * np.sqrt(chi2[line]) - self.loss**2
+        cost = 0.5 * float((self.model.floor + self.constant + huber)[~self.shapes.replaced].sum())
+        return cost + self.shapes.error(values, self.keys) + float(self.others.error(values))
+
+    def _linearise(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
+        """Linearise at the values whose cost was asked for last."""
+        model = self.model
+        root = np.sqrt(model.weight)
+        R, b = model.R * root[:, None, None], -model.d * root[:, None]
+        by_target = -R @ adjoint(inverse(model.H))
+        linear = self.others.linearize(values)
+        unit = gtsam.noiseModel.Unit.Create(6)
+        k_lidar = np.array([key for keys in self.keys.poses for key in keys])[self.pose].tolist()
+        k_target = np.array(list(self.keys.landmarks.values()))[self.landmark].tolist() if len(R) else []
+        for k in np.flatnonzero(~self.shapes.replaced).tolist():
+            linear.push_back(gtsam.JacobianFactor(k_target[k], by_target[k], k_lidar[k], R[k], b[k], unit))
+        self.shapes.linearise(linear, values, self.keys)
+        return linear
+
+    def _residuals(self) -> tuple[Residual, ...]:
+        """How well each match fits at the values whose cost was asked for last."""
+        chi2, weight = np.square(self.model.d).sum(axis=1), self.model.weight
+        named = [(track.name, match) for track in self.problem.tracks for match in track.matches]
+        return tuple(
+            Residual(track, match.pose, match.landmark, float(x), float(w))
+            for (track, match), x, w in zip(named, chi2, weight, strict=True)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """Gauss-Newton model 1/2 ||R xi + d||^2 + 1/2 floor of K matches, xi the right perturbation of H.
+
+    Attributes:
+        H: (K, 4, 4) T_target_lidar.
+        R: (K, 6, 6) upper triangular.
+        d: (K, 6).
+        floor: (K,) what no pose takes away, to first order.
+        weight: (K,) that the robust loss gives.
+    """
+
+    H: Floats
+    R: Floats
+    d: Floats
+    floor: Floats
+    weight: Floats
+
+
+def factor_graph(problem: MappingProblem) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """Return a problem as plain GTSAM factors and initial values, for those who own their graph.
+
+    Every match is a compiled Between factor, summarised at the initial values: make them again (`SummaryFactor`) when
+    those have moved.
+    """
+    batch = _Batch(problem, robust=True, as_built_sigma=None)
+    graph, values = gtsam.NonlinearFactorGraph(batch.others), batch._initial()
+    loss = gtsam.noiseModel.mEstimator.Huber.Create(LOSS)
+    H = batch._relative(values)
+    matches = [(t, match) for t, track in enumerate(problem.tracks) for match in track.matches]
+    for (t, match), T in zip(matches, H, strict=True):
+        k_target, k_lidar = batch.keys.landmarks[match.landmark], batch.keys.poses[t][match.pose]
+        graph.push_back(SummaryFactor(match.measurement, k_target, k_lidar, T, loss))
+    return graph, values
+
+
+def pose_graph(solution: BatchSolution) -> PoseGraph:
+    """Return a solved map as a pose graph, for g2o: poses first, then landmarks; summaries at the solution as edges."""
+    problem, values, keys = solution.problem, solution.values, solution.keys
+    order = [key for track in keys.poses for key in track] + list(keys.landmarks.values())
+    number = {key: k for k, key in enumerate(order)}
+    edges = []
+    for track_keys, track in zip(keys.poses, problem.tracks, strict=True):
+        for o in track.odometry:
+            information = np.asarray(np.linalg.inv(o.covariance), float)
+            edges.append(PoseGraphEdge(number[track_keys[o.i]], number[track_keys[o.j]], o.T_i_j, information))
+        targets = [keys.landmarks[match.landmark] for match in track.matches]
+        lidars = [track_keys[match.pose] for match in track.matches]
+        between = [values.atPose3(a).between(values.atPose3(b)).matrix() for a, b in zip(targets, lidars, strict=True)]
+        summaries = summarise([m.measurement for m in track.matches], np.array(between).reshape(-1, 4, 4))
+        for a, b, summary in zip(targets, lidars, summaries, strict=True):
+            information = summary.sqrt_information.T @ summary.sqrt_information
+            edges.append(PoseGraphEdge(number[a], number[b], summary.T_target_lidar, information))
+    vertices = {k: values.atPose3(key).matrix() for key, k in number.items()}
+    fixed = frozenset(
+        number[track_keys[0]]
+        for track_keys, track in zip(keys.poses, problem.tracks, strict=True)
+        if track.start is not None
+    )
+    return PoseGraph(vertices, tuple(edges), fixed)
+
+
+def _poses(values: gtsam.Values) -> Floats:
+    """(N, 4, 4) all poses, in the order of their keys."""
+    rows = gtsam.utilities.extractPose3(values)
+    T = np.tile(np.eye(4), (len(rows), 1, 1))
+    T[:, :3, :3] = rows[:, :9].reshape(-1, 3, 3)
+    T[:, :3, 3] = rows[:, 9:]
+    return T

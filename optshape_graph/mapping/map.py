@@ -1,0 +1,208 @@
+"""The map: landmarks with their joint covariance, and the trajectories that they were seen from. It is a file, too.
+
+`schema: optshape/map/1`, JSON. The covariances of single landmarks share the drift of the trajectory, so the joint one
+is kept beside them: without it a map that is used again would count that drift once for each landmark, and believe
+itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optshape_graph._arrays import Floats, frozen
+from optshape_graph.errors import InputError
+from optshape_graph.io.documents import Node, read_document, write_json
+from optshape_graph.io.trajectories import Trajectory
+from optshape_graph.target import Target
+
+SCHEMA = "optshape/map/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Landmark:
+    """A target that stands somewhere.
+
+    Attributes:
+        id: its name in the map.
+        target: its template; with as-built vertices, where those were refined.
+        T_world_target: (4, 4).
+        covariance: (6, 6) of the right perturbation of T_world_target, rotation first.
+        observations: number of scans that it was measured in; 0: surveyed.
+
+    Raises:
+        InputError: a pose or covariance that is none.
+    """
+
+    id: str
+    target: Target
+    T_world_target: Floats
+    covariance: Floats
+    observations: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_world_target", rigid(self.T_world_target, f"landmark '{self.id}'"))
+        object.__setattr__(self, "covariance", _covariance(self.covariance, 6, f"landmark '{self.id}'"))
+
+    @property
+    def vertices(self) -> Floats:
+        """(n, 3) vertices, world frame, metres."""
+        return np.asarray(self.target.vertices @ self.T_world_target[:3, :3].T + self.T_world_target[:3, 3])
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """Landmarks, and where they were seen from.
+
+    Attributes:
+        landmarks: in the order of their blocks in `joint_covariance`.
+        joint_covariance: (6 m, 6 m) of all landmarks; None: they are independent, as if surveyed one by one.
+        trajectories: T_world_lidar over time, by the name of the session.
+
+    Raises:
+        InputError: two landmarks of one name, or a covariance that does not fit.
+    """
+
+    landmarks: tuple[Landmark, ...]
+    joint_covariance: Floats | None = None
+    trajectories: Mapping[str, Trajectory] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = [landmark.id for landmark in self.landmarks]
+        if len(set(names)) < len(names):
+            raise InputError(f"two landmarks are called '{next(n for n in names if names.count(n) > 1)}'")
+        if self.joint_covariance is not None:
+            joint = _covariance(self.joint_covariance, 6 * len(names), "joint covariance")
+            object.__setattr__(self, "joint_covariance", joint)
+
+    @property
+    def covariance(self) -> Floats:
+        """(6 m, 6 m) joint covariance of the landmarks, rotation first, each of its own right perturbation."""
+        if self.joint_covariance is not None:
+            return self.joint_covariance
+        joint = np.zeros((6 * len(self.landmarks), 6 * len(self.landmarks)))
+        for k, landmark in enumerate(self.landmarks):
+            joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = landmark.covariance
+        return joint
+
+    def __getitem__(self, name: str) -> Landmark:
+        """Return a landmark by its name.
+
+        Raises:
+            KeyError: there is none.
+        """
+        for landmark in self.landmarks:
+            if landmark.id == name:
+                return landmark
+        raise KeyError(name)
+
+
+def save_map(path: str | Path, result: Map) -> None:
+    """Write a map as JSON."""
+    write_json(path, map_document(result))
+
+
+def map_document(result: Map) -> dict[str, Any]:
+    """Return a map as plain data of the schema."""
+    joint = {} if result.joint_covariance is None else {"joint_covariance": result.joint_covariance}
+    return {
+        "schema": SCHEMA,
+        "targets": {landmark.id: {"vertices": landmark.target.vertices} for landmark in result.landmarks},
+        "landmarks": [
+            {
+                "id": landmark.id,
+                "target": landmark.target.name,
+                "T_world_target": landmark.T_world_target,
+                "covariance": landmark.covariance,
+                "vertices": landmark.vertices,
+                "observations": landmark.observations,
+            }
+            for landmark in result.landmarks
+        ],
+        **joint,
+        "trajectory": [
+            {"session": name, "stamp": stamp, "T_world_lidar": T}
+            for name, trajectory in result.trajectories.items()
+            for stamp, T in zip(_stamps(trajectory), trajectory.poses, strict=True)
+        ],
+    }
+
+
+def load_map(path: str | Path) -> Map:
+    """Read a map.
+
+    Raises:
+        InputError: not readable, or not of the schema; the message names file and key.
+    """
+    root = read_document(path, "map")
+    fields = root.fields(["schema", "targets", "landmarks", "trajectory"], ["joint_covariance", "report"])
+    templates = fields["targets"].entries()
+    landmarks = tuple(_landmark(node, templates) for node in fields["landmarks"].items())
+    joint = None
+    if landmarks and "joint_covariance" in fields:
+        joint = fields["joint_covariance"].numbers(6 * len(landmarks), 6 * len(landmarks))
+    try:
+        return Map(landmarks, joint, _trajectories(fields["trajectory"]))
+    except InputError as error:
+        root.fail(str(error))
+
+
+def rigid(T: Floats, what: str) -> Floats:
+    """Return a (4, 4) rigid transform, read-only.
+
+    Raises:
+        InputError: it is none.
+    """
+    pose = frozen(T)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise InputError(f"{what}: expected a finite pose as 4 x 4, found shape {pose.shape}")
+    R = pose[:3, :3]
+    if np.abs(R.T @ R - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > 0:
+        raise InputError(f"{what}: its pose is not a rigid transform: {pose.tolist()}")
+    return pose
+
+
+def _covariance(covariance: Floats, size: int, what: str) -> Floats:
+    C = frozen(covariance)
+    if C.shape != (size, size) or not np.isfinite(C).all():
+        raise InputError(f"{what}: expected a finite covariance as {size} x {size}, found shape {C.shape}")
+    tolerance = 1e-6 * np.abs(C).max(initial=0.0)
+    if size and (np.abs(C - C.T).max() > tolerance or np.linalg.eigvalsh(C).min() < -tolerance):
+        raise InputError(f"{what}: its covariance is not symmetric and positive")
+    return C
+
+
+def _stamps(trajectory: Trajectory) -> list[float]:
+    if trajectory.stamps is None:
+        raise InputError(f"{trajectory.name}: the trajectory of a map needs stamps")
+    return [float(stamp) for stamp in trajectory.stamps]
+
+
+def _landmark(node: Node, templates: Mapping[str, Node]) -> Landmark:
+    fields = node.fields(["id", "target", "T_world_target", "covariance"], ["vertices", "observations"])
+    name = fields["id"].text()
+    if name not in templates:
+        fields["id"].fail(f"no template for landmark '{name}' under 'targets'")
+    vertices = templates[name].fields(["vertices"])["vertices"].numbers(-1, 3)
+    observations = fields["observations"].integer() if "observations" in fields else 0
+    try:
+        target = Target(vertices, fields["target"].text())
+        T, C = fields["T_world_target"].numbers(4, 4), fields["covariance"].numbers(6, 6)
+        return Landmark(name, target, T, C, observations)
+    except InputError as error:
+        node.fail(str(error))
+
+
+def _trajectories(node: Node) -> dict[str, Trajectory]:
+    stamps: dict[str, list[float]] = {}
+    poses: dict[str, list[Floats]] = {}
+    for entry in node.items():
+        fields = entry.fields(["stamp", "T_world_lidar"], ["session"])
+        name = fields["session"].text() if "session" in fields else ""
+        stamps.setdefault(name, []).append(fields["stamp"].number())
+        poses.setdefault(name, []).append(rigid(fields["T_world_lidar"].numbers(4, 4), entry.where))
+    return {name: Trajectory(np.array(poses[name]), np.array(stamps[name]), name or "trajectory") for name in poses}

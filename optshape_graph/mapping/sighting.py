@@ -1,0 +1,107 @@
+"""What a scan says about one target: a measurement for every pose of it that is not ruled out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from optshape_graph._arrays import Floats
+from optshape_graph.errors import InputError
+from optshape_graph.factors import ShapeMeasurement, Summary, TemplateMeasurement, summarise
+from optshape_graph.factors.se3 import inverse
+from optshape_graph.pose import PoseEstimate
+from optshape_graph.target import Target
+
+LOOSEST = 10.0
+"""Standard deviation, rad or metres, from which on a measurement does not determine a pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """One target in one scan.
+
+    Attributes:
+        target: the template.
+        measurements: of T_target_lidar, one for each pose that is not ruled out, the likeliest first.
+        landmark: which landmark it is, where that is known (a tag, a template of which there is one); None: it is to
+            be found out, among those of the same template.
+        shape: the same returns without the template, to refine the target's as-built vertices; None: not kept.
+
+    Raises:
+        InputError: no measurement.
+    """
+
+    target: Target
+    measurements: tuple[TemplateMeasurement, ...]
+    landmark: str | None = None
+    shape: ShapeMeasurement | None = None
+
+    def __post_init__(self) -> None:
+        if not self.measurements:
+            raise InputError(f"a sighting of target '{self.target.name}' without a measurement")
+
+    @classmethod
+    def of(cls, estimate: PoseEstimate, landmark: str | None = None, shape: ShapeMeasurement | None = None) -> Sighting:
+        """Return the sighting that a pose estimate makes; of an ambiguous one, both of its poses.
+
+        Of the other pose only the pose is known: its measurement is taken to be that of the best one, moved there.
+
+        Raises:
+            InputError: the estimate failed.
+        """
+        if estimate.status == "failed":
+            raise InputError(f"the estimate of target '{estimate.target.name}' failed ({estimate.reason})")
+        best = estimate.measurement
+        other = estimate.ambiguity.T_lidar_target
+        if estimate.status == "ok" or other is None:
+            return cls(estimate.target, (best,), landmark, shape)
+        return cls(estimate.target, (best, best.substituted(best.T_target_lidar @ other)), landmark, shape)
+
+    def moved(self, T_lidar_then: Floats) -> Sighting:
+        """Return the sighting as one from another pose of the LiDAR.
+
+        Args:
+            T_lidar_then: (4, 4) the pose that it was made from, in the frame of the one that it is to be from.
+        """
+        shape = self.shape
+        if shape is not None:  # planes map by the transposed pose: H_then^T = T^T H^T
+            U = shape.U.reshape(len(shape.U), -1, 4) @ T_lidar_then.T
+            triangle = np.asarray(np.linalg.qr(U.reshape(shape.U.shape), mode="r"))
+            shape = ShapeMeasurement(triangle, shape.n_rows, shape.T_target_lidar @ inverse(T_lidar_then))
+        measurements = tuple(m.substituted(np.eye(4), T_lidar_then) for m in self.measurements)
+        return replace(self, measurements=measurements, shape=shape)
+
+    @cached_property
+    def hypotheses(self) -> tuple[TemplateMeasurement, ...]:
+        """All measurements, under every way to name the vertices of a symmetric target."""
+        return tuple(
+            measurement if turn is None else measurement.substituted(turn)
+            for measurement in self.measurements
+            for turn in self._turns
+        )
+
+    @cached_property
+    def summaries(self) -> tuple[Summary, ...]:
+        """The hypotheses as measured poses."""
+        return tuple(summarise(self.hypotheses))
+
+    @cached_property
+    def determined(self) -> bool:
+        """Whether the best measurement determines all six degrees of freedom of the pose."""
+        least = np.linalg.svd(self.summaries[0].sqrt_information, compute_uv=False).min()
+        return bool(least > 1.0 / LOOSEST)
+
+    @property
+    def _turns(self) -> list[Floats | None]:
+        turns: list[Floats | None] = [None]
+        for S in self.target.symmetry_rotations[1:]:
+            turn = np.eye(4)
+            turn[:3, :3] = S
+            turns.append(turn)
+        return turns
+
+    def T_lidar_target(self) -> Floats:
+        """Return the likeliest pose (4, 4)."""
+        return inverse(self.summaries[0].T_target_lidar)

@@ -1,0 +1,151 @@
+"""ISAM2, with or without a lag, that survives what it is given.
+
+A factor that is not finite, or a variable that nothing determines, makes `ISAM2.update` raise and leaves it unusable.
+So new factors are linearised first, and the smoother keeps the factors that it holds: if an update fails all the same,
+it is made again from those, and the caller gets an error and the smoother it had.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+
+import gtsam
+import numpy as np
+
+from optshape_graph._arrays import Floats
+from optshape_graph.errors import EstimationError
+
+RELINEARISE = 0.005
+"""Step, metres or rad, beyond which a variable is linearised again."""
+
+
+class Smoother:
+    """Incremental smoothing and mapping (Kaess et al., ISAM2, IJRR 2012) of everything, or of the latest poses.
+
+    Attributes:
+        lag: seconds after which a variable with a stamp is marginalised; None: never. What is marginalised stays in
+            force as a prior on what is left.
+    """
+
+    def __init__(self, lag: float | None = None) -> None:
+        self.lag = lag
+        self._isam = _new_isam()
+        self._factors: dict[int, gtsam.NonlinearFactor] = {}  # by handle, which outlives ISAM2's slots
+        self._slots: dict[int, int] = {}
+        self._handles = itertools.count()
+        self._stamps: dict[int, float] = {}
+
+    def __contains__(self, key: int) -> bool:
+        return bool(self._isam.valueExists(key))
+
+    def update(
+        self,
+        factors: Sequence[gtsam.NonlinearFactor],
+        values: gtsam.Values,
+        remove: Iterable[int] = (),
+        stamps: Mapping[int, float] | None = None,
+    ) -> list[int]:
+        """Add factors and variables, remove factors, and improve the estimate by one step.
+
+        Args:
+            factors: to add.
+            values: initial values of the variables that are new.
+            remove: handles of factors to remove; those that a lag has marginalised are gone, and ignored.
+            stamps: seconds, of the variables that the lag marginalises; the others stay for ever.
+
+        Returns:
+            A handle for each new factor.
+
+        Raises:
+            EstimationError: a factor is not finite, or the variables are not determined; nothing has changed then.
+        """
+        graph = gtsam.NonlinearFactorGraph()
+        for factor in factors:
+            graph.push_back(factor)
+        self._check(graph, values)
+        removed = [handle for handle in remove if handle in self._factors]
+        try:
+            result = self._isam.update(graph, values, [self._slots[handle] for handle in removed])
+        except RuntimeError as error:
+            self._restore(values)
+            raise EstimationError(f"the factors do not determine the variables: {error}") from error
+        for handle in removed:
+            del self._factors[handle], self._slots[handle]
+        handles = self._hold(factors, result.getNewFactorsIndices())
+        if self.lag is not None:
+            self._stamps.update(stamps or {})
+            self._marginalise(self.lag)
+        return handles
+
+    def pose(self, key: int) -> Floats:
+        """Return the estimate (4, 4) of a pose."""
+        return np.asarray(self._isam.calculateEstimatePose3(key).matrix())
+
+    def values(self) -> gtsam.Values:
+        """Return the estimates of all variables that are left."""
+        return gtsam.Values(self._isam.calculateBestEstimate())
+
+    def covariance(self, keys: Sequence[int]) -> Floats:
+        """Return the joint covariance of variables, in their order."""
+        if len(keys) == 1:
+            return np.asarray(self._isam.marginalCovariance(keys[0]))
+        return np.asarray(self._isam.jointMarginalCovariance(list(keys)).fullMatrix())
+
+    def _hold(self, factors: Sequence[gtsam.NonlinearFactor], slots: Sequence[int]) -> list[int]:
+        handles = [next(self._handles) for _ in factors]
+        self._factors.update(zip(handles, factors, strict=True))
+        self._slots.update(zip(handles, slots, strict=True))
+        return handles
+
+    def _check(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        touched = gtsam.Values(values)
+        for key in graph.keyVector():
+            if not touched.exists(key):
+                if key not in self:
+                    raise EstimationError(f"no initial value for variable {gtsam.DefaultKeyFormatter(key)}")
+                touched.insert(key, self._isam.calculateEstimatePose3(key))
+        # Sparse entries leave out what is not finite; the gradient does not.
+        if graph.size() and not np.isfinite(graph.linearize(touched).gradientAtZero().norm()):
+            raise EstimationError("a new factor's residual or Jacobian is not finite")
+
+    def _restore(self, failed: gtsam.Values) -> None:
+        """Make the smoother again from the factors it held, without the variables of a failed update."""
+        values = gtsam.Values(self._isam.getLinearizationPoint())
+        for key in failed.keys():  # noqa: SIM118 - not a mapping
+            if values.exists(key):
+                values.erase(key)
+        graph = gtsam.NonlinearFactorGraph()
+        for factor in self._factors.values():
+            graph.push_back(factor)
+        self._isam = _new_isam()
+        result = self._isam.update(graph, values)
+        self._slots = dict(zip(self._factors, result.getNewFactorsIndices(), strict=True))
+
+    def _marginalise(self, lag: float) -> None:
+        newest = max(self._stamps.values(), default=0.0)
+        old = [key for key, stamp in self._stamps.items() if stamp < newest - lag]
+        if not old:
+            return
+        # Only leaves can be marginalised: what is old is eliminated first, which means eliminating the window again.
+        groups, window, leaves = gtsam.KeyGroupMap(), gtsam.KeyList(), gtsam.KeyList()
+        for key in self._isam.getLinearizationPoint().keys():  # noqa: SIM118 - not a mapping
+            groups.insert2(key, 0 if key in old else 1)
+            window.push_back(key)
+        self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], groups, gtsam.KeyList(), window)
+        for key in old:
+            leaves.push_back(key)
+            del self._stamps[key]
+        added, deleted = self._isam.marginalizeLeavesWithIndices(leaves)
+        gone = set(deleted)
+        for handle in [handle for handle, slot in self._slots.items() if slot in gone]:
+            del self._factors[handle], self._slots[handle]
+        held = self._isam.getFactorsUnsafe()
+        self._hold([held.at(slot) for slot in added], added)
+
+
+def _new_isam() -> gtsam.ISAM2:
+    parameters = gtsam.ISAM2Params()
+    parameters.setRelinearizeThreshold(RELINEARISE)
+    parameters.relinearizeSkip = 1
+    return gtsam.ISAM2(parameters)

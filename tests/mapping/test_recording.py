@@ -1,0 +1,107 @@
+"""From scans and poses to a map: keyframes, odometry in between, bad scans, a moving LiDAR, several processes."""
+
+import numpy as np
+import pytest
+
+from optshape_graph import Scan
+from optshape_graph.io import load_sensor, load_target
+from optshape_graph.io.recordings.stream import Stamped
+from optshape_graph.mapping import LandmarkSlam
+from optshape_graph.mapping.recording import (
+    KeyframePolicy,
+    MotionNoise,
+    OdometryTrack,
+    Progress,
+    build_map,
+    keyframes,
+    observe_all,
+)
+from optshape_graph.simulation import ConstantTwist, Floor, NoiseModel, Patch, Scene, simulate
+from tests.mapping.support import at
+
+SENSOR, TARGET = load_sensor("vlp32c"), load_target("paper")
+SPEED, TURN = 2.0, 0.4
+WHERE = [at(8.0, 1.0, 0.2, 0.3), at(7.0, -3.5, -0.5, 0.2)]
+
+
+def drive(n, step=0.3):
+    """Return a robot's scans on a curve past two targets, and its poses ten times as often."""
+    motion = ConstantTwist(np.eye(4), np.array([0.0, 0.0, TURN, SPEED, 0.0, 0.0]))
+    scene = Scene(tuple(Patch(TARGET, T) for T in WHERE), (Floor(-1.5),))
+    noise = NoiseModel.of(SENSOR)
+    scans, stamps = [], step * np.arange(n)
+    for k, stamp in enumerate(stamps):
+        R, t = motion.at(np.array([stamp]))
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = R[0], t[0]
+        scan = simulate(scene, SENSOR, ConstantTwist(pose, motion.twist), noise=noise, rng=k).scan
+        scans.append(Stamped(float(stamp), scan))
+    times = np.arange(-1.0, stamps[-1] + 1.0, step / 10)
+    R, t = motion.at(times)
+    poses = np.tile(np.eye(4), (len(times), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = R, t
+    return scans, [Stamped(float(s), T) for s, T in zip(times, poses, strict=True)]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_moving_robot_maps_its_targets(workers):
+    scans, poses = drive(5)
+    slam, progress = LandmarkSlam(), Progress()
+    frames = keyframes(scans, OdometryTrack(poses), KeyframePolicy(), progress)
+    reported = []
+    seen = observe_all(frames, [TARGET], named=False, shapes=False, workers=workers)
+    build_map(slam, seen, MotionNoise(), progress, lambda now: reported.append(now.scans))
+    assert progress.keyframes == len(reported) == 5
+    assert not progress.skipped
+    assert len(slam.landmarks) == 2
+    # Centimetres at 8 m while moving 0.2 m and turning 2 deg within a scan; ignored, that would be decimetres.
+    for T in slam.landmarks.values():
+        assert min(np.linalg.norm(T[:3, 3] - true[:3, 3]) for true in WHERE) < 0.05
+
+
+def test_bad_scans_are_counted_and_nothing_else_is_lost():
+    scans, poses = drive(5)
+    good = scans[2].value
+    scans[2] = Stamped(scans[2].stamp, Scan(np.zeros((0, 3)), ring=np.zeros(0, int), sensor=SENSOR))
+    scans.insert(3, Stamped(scans[2].stamp + 0.3, Scan(good.points, sensor=SENSOR, name="no rings")))
+    del scans[4]
+    scans.append(Stamped(100.0, good))
+    slam, progress = LandmarkSlam(), Progress()
+    frames = keyframes(scans, OdometryTrack(poses), KeyframePolicy(), progress)
+    build_map(slam, observe_all(frames, [TARGET], False, False), MotionNoise(), progress)
+    assert progress.skipped["empty"] == 1
+    assert progress.skipped["no odometry at its time"] == 1
+    assert sum("ring" in reason for reason in progress.skipped) == 1
+    assert progress.skipped.total() == 3
+    assert len(slam.landmarks) == 2
+
+
+def test_keyframes_leave_out_a_robot_at_rest():
+    scan = Scan(np.ones((5, 3)))
+    scans = [Stamped(0.1 * k, scan) for k in range(50)]
+    poses = [Stamped(0.1 * k, at(max(0.0, 0.1 * (k - 20)), 0.0, 0.0)) for k in range(50)]
+    progress = Progress()
+    kept = list(keyframes(scans, OdometryTrack(poses), KeyframePolicy(0.5, np.inf), progress))
+    np.testing.assert_allclose([frame.stamp for frame in kept], [0.0, 2.5, 3.0, 3.5, 4.0, 4.5], atol=1e-9)
+    np.testing.assert_allclose([frame.distance for frame in kept[1:]], 0.5, atol=1e-9)
+    assert progress.scans == 50
+
+
+def test_odometry_between_poses_and_beside_them():
+    rng_twist = np.array([0.1, -0.2, 0.5, 1.0, 0.3, -0.1])
+    motion = ConstantTwist(at(1.0, 2.0, 0.3), rng_twist)
+    mounted = at(0.2, -0.1, 0.5, 0.9)
+    times = np.arange(0.0, 2.0, 0.25)
+    R, t = motion.at(times)
+    poses = np.tile(np.eye(4), (len(times), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = R, t
+    track = OdometryTrack([Stamped(float(s), T) for s, T in zip(times, poses, strict=True)], mounted)
+    assert track.at(-0.1) is None
+    for stamp in (0.0, 0.1, 0.25, 1.6):
+        found = track.at(stamp)
+        assert found is not None
+        R, t = motion.at(np.array([stamp]))
+        expected = np.eye(4)
+        expected[:3, :3], expected[:3, 3] = R[0], t[0]
+        np.testing.assert_allclose(found[0], expected @ mounted, atol=1e-9)
+    assert track.at(5.0) is None
