@@ -105,3 +105,16 @@ def test_bad_input_is_one_line_and_status_2(cloud: Path, arguments: list[str], m
     assert result.returncode == 2
     assert message in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_a_cloud_without_rings_and_without_a_sensor(tmp_path: Path) -> None:
+    (tmp_path / "bare.csv").write_text("x,y,z\n" + "".join(f"5,{0.05 * k % 1},{0.1 * (k // 20)}\n" for k in range(200)))
+    result = CliRunner().invoke(
+        cli,
+        ["estimate", str(tmp_path / "bare.csv"), "--target", "paper", "--json", str(tmp_path / "out.json")],
+        standalone_mode=False,
+    )
+    assert result.return_value == 3
+    (entry,) = json.loads((tmp_path / "out.json").read_text())["scans"]
+    assert entry["status"] == "failed"
+    assert "rings" in entry["reason"]
