@@ -3,6 +3,7 @@
 from optshape_graph.evaluation.consistency import consistency
 from optshape_graph.evaluation.harness import run_tasks
 from optshape_graph.evaluation.metrics import NormalisedError, PoseError, normalised_error, pose_error
+from optshape_graph.evaluation.mocap import evaluate_mocap, find_sessions
 from optshape_graph.evaluation.simulation import SimulationSweep, run_simulation
 from optshape_graph.evaluation.tables import beside_published, by_group, summarise, write_csv, write_parquet
 
@@ -13,6 +14,8 @@ __all__ = [
     "beside_published",
     "by_group",
     "consistency",
+    "evaluate_mocap",
+    "find_sessions",
     "normalised_error",
     "pose_error",
     "run_simulation",

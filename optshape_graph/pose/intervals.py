@@ -42,13 +42,14 @@ def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floa
         v = 1.0 + np.where(np.isfinite(a), a * density_a, 0.0) - b * density_b - m * m
     # Far out the density is exponential; in a narrow interval it is uniform, which is the same with a small rate.
     far = (b < -300) | (width < 1e-3) | ~np.isfinite(log_mass) | ~(v > 0)
-    rate = np.maximum(-0.5 * (np.maximum(a, b - 1.0) + b), 0.0)
-    tail_mean, tail_variance = _exponential_moments(rate, width)
-    with np.errstate(all="ignore"):
-        narrow_mass = np.log(np.maximum(width, 1e-300)) - 0.5 * (0.5 * (a + b)) ** 2 - _LOG_SQRT_2PI
-    log_mass = np.where(np.isfinite(log_mass) & (width >= 1e-3), log_mass, narrow_mass)
-    m = np.where(far, b - tail_mean, np.clip(m, a, b))
-    v = np.where(far, tail_variance, np.minimum(v, width**2 / 4))
+    m, v = np.clip(m, a, b), np.minimum(v, width**2 / 4)
+    if far.any():
+        start, end, span = a[far], b[far], width[far]
+        rate = np.maximum(-0.5 * (np.maximum(start, end - 1.0) + end), 0.0)
+        tail_mean, v[far] = _exponential_moments(rate, span)
+        m[far] = end - tail_mean
+        flat_mass = np.log(np.maximum(span, 1e-300)) - 0.125 * (start + end) ** 2 - _LOG_SQRT_2PI
+        log_mass[far] = np.where(np.isfinite(log_mass[far]) & (span >= 1e-3), log_mass[far], flat_mass)
     return log_mass, mean + sd * np.where(right, -m, m), variance * v
 
 
