@@ -60,9 +60,9 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     plane = fit_plane(scan.points, scan.ring)
     returns = returns_on_plane(scan.points, scan.ring, plane.axes[0], plane.distance, scan.sensor, angular_noise)
     on_plane = _plane_measurement(returns)
-    problem = Problem(
-        with_top_and_bottom(edges, scan), target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor)
-    )
+    # With noisy azimuths a lone return of the outermost ring may lie beside the target: it bounds nothing.
+    bounded = edges if angular_noise else with_top_and_bottom(edges, scan)
+    problem = Problem(bounded, target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor))
     starts = enumerate_poses(edges, plane, target)
     candidates = _score(problem, _upright(starts, target), scan, edges)
 
