@@ -60,8 +60,10 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     plane = fit_plane(scan.points, scan.ring)
     returns = returns_on_plane(scan.points, scan.ring, plane.axes[0], plane.distance, scan.sensor, angular_noise)
     on_plane = _plane_measurement(returns)
-    # With noisy azimuths a lone return of the outermost ring may lie beside the target: it bounds nothing.
-    bounded = edges if angular_noise else with_top_and_bottom(edges, scan)
+    # Where rings in between are lost, the next one may be lost too; with noisy azimuths a lone return of the outermost
+    # ring may lie beside the target. Neither bounds anything.
+    complete = edges.n_rings == edges.ring[-1] - edges.ring[0] + 1
+    bounded = with_top_and_bottom(edges, scan) if complete and not angular_noise else edges
     problem = Problem(bounded, target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor))
     starts = enumerate_poses(edges, plane, target)
     candidates = _score(problem, _upright(starts, target), scan, edges)
