@@ -257,7 +257,7 @@ def _sweep(
     fast = np.where(np.abs(s) > 1e-3 * np.linalg.norm(points, axis=1), s, np.inf)
     posterior = Posterior(
         T_target_lidar=T,
-        covariance=covariance[:, :6, :6],
+        covariance=np.asarray(covariance[:, :6, :6]),
         offset=offset + mean[:, 6],
         geometry=geometry,
         inset=np.clip(-(nu / tau) / fast, *_lost_interval(problem.edges)),
