@@ -15,6 +15,9 @@ FLATNESS = 1e-3
 LOST_RETURNS = 0.1
 """Share of ring ends whose return is not within a step of the edge: lost at the edge, or mixed with the background."""
 
+LOST_RETURNS_OF_RAYS = 0.02
+"""The same of a beam without width, which no edge splits."""
+
 LOST_SPAN = (-1.0, 3.0)
 """Where those lie, in azimuth steps inside the edge."""
 
@@ -49,6 +52,11 @@ class EdgeNoise:
         if sensor is None:
             return cls(3e-3, 0.01, FLATNESS)
         return cls(sensor.beam_divergence, sensor.beam_aperture, FLATNESS)
+
+    @property
+    def lost(self) -> float:
+        """Share of ring ends whose return is not within a step of the edge."""
+        return LOST_RETURNS if self.divergence + self.aperture > 0 else LOST_RETURNS_OF_RAYS
 
     def width(self, ranges: Floats) -> Floats:
         """Width of the beam at ranges (...), metres; an ideal beam's still is a tenth of a millimetre."""
