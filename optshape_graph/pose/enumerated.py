@@ -64,7 +64,8 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     starts = enumerate_poses(edges, plane, target)
     candidates = _score(problem, _upright(starts, target), scan, edges)
 
-    if angular_noise:
+    # The likelihood itself is known of beams without width; a beam's own scatter is in the posteriors alone.
+    if problem.noise.ideal and not edges.scatter.any():
         modes = modes_by_samples(candidates, problem, Firings.of(edges, scan, problem.noise.lost))
     else:
         modes = modes_by_association(candidates, target)
@@ -85,9 +86,7 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     residuals = final.residual[0] + inset * final.along[0]
     unobservable = unobservable_directions(covariance, target.circumradius)
     explained = _explained(problem, final, float(best.offset[0]))
-    # Ends that are extremes of noisy azimuths are less independent than their likelihood takes them to be.
-    needed = AMBIGUITY_MARGIN * (1 + 2 * angular_noise / edges.azimuth_step)
-    status, reason = _verdict(explained, len(problem.edges), unobservable, ambiguity, needed)
+    status, reason = _verdict(explained, len(problem.edges), unobservable, ambiguity)
     return PoseEstimate(
         target=target,
         T_lidar_target=T_lidar_target,
@@ -281,9 +280,9 @@ def _explained(problem: Problem, geometry: EdgeGeometry, offset: float) -> float
 
 
 def _verdict(
-    explained: float, n_points: int, unobservable: tuple[str, ...], ambiguity: Ambiguity, needed: float
+    explained: float, n_points: int, unobservable: tuple[str, ...], ambiguity: Ambiguity
 ) -> tuple[Status, str]:
-    """Status and reason; `needed` is the margin below which a different pose is not ruled out."""
+    """Status and reason."""
     if explained < MIN_EXPLAINED:
         count = round((1 - explained) * n_points)
         return (
@@ -292,6 +291,6 @@ def _verdict(
         )
     if unobservable:
         return "failed", "not observable: " + "; ".join(unobservable)
-    if ambiguity.margin < needed:
+    if ambiguity.margin < AMBIGUITY_MARGIN:
         return "ambiguous", f"a different pose is only {ambiguity.margin:.2g} less likely (log likelihood)"
     return "ok", ""

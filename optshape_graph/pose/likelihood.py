@@ -1,4 +1,4 @@
-"""The likelihood of a scan with noisy azimuths, given the pose, as it is: no edge assigned, nothing linearised.
+"""The likelihood of a scan by beams without width, given the pose, as it is: no edge assigned, nothing linearised.
 
 A ring of a convex polygon is a chord. In units of the azimuth step, it holds the firings of a grid from the first
 beyond its right end to the last before its left end. The returns' mean azimuth says where those firings are, up to one
@@ -22,7 +22,7 @@ from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.se3 import inverse, vec
 from optshape_graph.pose.evidence import chords, share_lost
-from optshape_graph.pose.noise import LOST_SPAN
+from optshape_graph.pose.noise import FLATNESS, LOST_SPAN
 from optshape_graph.pose.propagation import Problem
 from optshape_graph.scan import Scan
 
@@ -72,7 +72,7 @@ class Firings:
         return cls(
             left=ends.azimuth[::2] / step,
             right=ends.azimuth[1::2] / step,
-            shift=ends.shift[::2] / step,
+            shift=np.maximum(ends.shift[::2], FLATNESS / np.linalg.norm(ends.points[::2], axis=1)) / step,
             offset=offsets[rings],
             elevations=np.arctan2(z, np.hypot(x, y)),
             empty=table[outer],

@@ -54,9 +54,14 @@ class EdgeNoise:
         return cls(sensor.beam_divergence, sensor.beam_aperture, FLATNESS)
 
     @property
+    def ideal(self) -> bool:
+        """Whether the beam has no width, so that it ends where the target does."""
+        return self.divergence + self.aperture == 0
+
+    @property
     def lost(self) -> float:
         """Share of ring ends whose return is not within a step of the edge."""
-        return LOST_RETURNS if self.divergence + self.aperture > 0 else LOST_RETURNS_OF_RAYS
+        return LOST_RETURNS_OF_RAYS if self.ideal else LOST_RETURNS
 
     def width(self, ranges: Floats) -> Floats:
         """Width of the beam at ranges (...), metres; an ideal beam's still is a tenth of a millimetre."""
