@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp, ndtr
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.se3 import inverse, vec
 from optshape_graph.pose.evidence import chords, share_lost
@@ -90,11 +90,27 @@ class Firings:
         # A ring far above or below no polygon meets has nothing to say: most of the sensor's.
         met = self._may_be_met(corners)
         empty_right, empty_left = self._chords(corners, self.empty[met])
-        own = self._own_grids(beyond_left, beyond_right, empty_left - empty_right)
-        if self.shift.min() < 1.5 / _FINEST:
-            return own  # each ring's grid is known: whether it is common says nothing of the pose
-        common = self._common_grid(beyond_left, beyond_right, empty_left, empty_right, self.empty_offset[met])
-        return np.asarray(np.logaddexp(own, common))
+        rings = self._own_grids(beyond_left, beyond_right)
+        own = rings + self._missed(np.clip(1.0 - (empty_left - empty_right), 0.0, 1.0)).sum(axis=-1)
+        offset = self.empty_offset[met]
+        if self.shift.min() > 1.5 / _FINEST:
+            common = self._common_grid(beyond_left, beyond_right, empty_left, empty_right, offset)
+            return np.asarray(np.logaddexp(own, common))
+        place = self._seen_place()
+        if place is None:
+            return np.asarray(own)
+        return np.asarray(rings + self._missed(~_fired(empty_left, empty_right, place + offset)).sum(axis=-1))
+
+    def _seen_place(self) -> float | None:
+        """Place of the common grid where each ring's is all but known; None where they differ."""
+        place = self.left - self.offset
+        off = (place - place[0] + 0.5) % 1.0 - 0.5
+        mean = float(np.average(off, weights=self.shift**-2))
+        return None if (np.abs(off - mean) > 4 * self.shift).any() else float(place[0]) + mean
+
+    def _missed(self, unseen: Floats | Bools) -> Floats:
+        """Logarithm of the probability of a ring without returns, from that of firing past its chord."""
+        return np.log(unseen * (1 - self.lost_ring) + self.lost_ring)
 
     def _chords(self, corners: Floats, elevations: Floats) -> tuple[Floats, Floats]:
         """Right and left ends (S, R) in steps; a ring that misses has its left end right of its right end."""
@@ -109,7 +125,8 @@ class Firings:
         slack = 0.1 * (high - low)
         return np.flatnonzero((self.empty > low - slack) & (self.empty < high + slack))
 
-    def _own_grids(self, beyond_left: Floats, beyond_right: Floats, empty: Floats) -> Floats:
+    def _own_grids(self, beyond_left: Floats, beyond_right: Floats) -> Floats:
+        """Logarithm (S,) of the likelihood of the rings that returned, each on a grid of its own."""
         total = np.zeros(beyond_left.shape)
         for low_left, high_left, density_left in self._intervals:
             for low_right, high_right, density_right in self._intervals:
@@ -118,13 +135,12 @@ class Firings:
                 last = np.minimum(beyond_left - low_left, high_right - beyond_right) / self.shift
                 mass = np.where(first > 0, ndtr(-first) - ndtr(-last), ndtr(last) - ndtr(first))
                 total += density_left * density_right * np.where(last > first, mass, 0.0)
-        unseen = np.clip(1.0 - empty, 0.0, 1.0)
-        rings = np.log(total + self._floor).sum(axis=-1)
-        return np.asarray(rings + np.log(unseen * (1 - self.lost_ring) + self.lost_ring).sum(axis=-1))
+        return np.asarray(np.log(total + self._floor).sum(axis=-1))
 
     def _common_grid(
         self, beyond_left: Floats, beyond_right: Floats, empty_left: Floats, empty_right: Floats, offset: Floats
     ) -> Floats:
+        """Logarithm (S,) of the likelihood of all rings, averaged over the place of one grid."""
         places = int(np.ceil(1.5 / self.shift.min()))
         place = (np.arange(places) + 0.5) / places
         log = np.zeros((len(beyond_left), places))
@@ -136,10 +152,8 @@ class Firings:
             at_left = self._end_density(beyond_left[:, k, None, None] - e)
             at_right = self._end_density(beyond_right[:, k, None, None] + e)
             log += np.log((at_left * at_right * density).sum(axis=1) + self._floor)
-        for left, right, shift in zip(empty_left.T, empty_right.T, offset, strict=True):
-            grid = place + shift
-            fired = np.floor(left[:, None] - grid) >= np.ceil(right[:, None] - grid)
-            log += np.log(np.where(fired, self.lost_ring, 1.0))
+        fired = _fired(empty_left[..., None], empty_right[..., None], place + offset[:, None])
+        log += self._missed(~fired).sum(axis=1)
         return np.asarray(logsumexp(log, axis=1) - np.log(places))
 
     def _end_density(self, beyond: Floats) -> Floats:
@@ -158,6 +172,11 @@ class Firings:
     def _floor(self) -> float:
         """Density of a ring neither of whose ends is near where it should be."""
         return (0.1 * self.lost_end) ** 2
+
+
+def _fired(left: Floats, right: Floats, place: Floats) -> Bools:
+    """Whether a grid at a place has a firing between the ends of chords, all in steps."""
+    return np.asarray(np.floor(left - place) >= np.ceil(right - place))
 
 
 def scan_log_likelihood(T_lidar_target: Floats, problem: Problem, firings: Firings) -> Floats:
