@@ -62,6 +62,12 @@ class EdgePoints:
         for field in ("ring", "side", "index", "revolutions"):
             object.__setattr__(self, field, frozen(getattr(self, field), np.int64))
 
+    @classmethod
+    def none(cls) -> EdgePoints:
+        """Return no edge points: of a cloud without rings."""
+        numbers, counts = np.zeros(0), np.zeros(0, dtype=np.int64)
+        return cls(np.zeros((0, 3)), counts, counts, numbers, counts, counts, numbers, numbers, numbers, 0.0, 0.0)
+
     def __len__(self) -> int:
         return len(self.points)
 
