@@ -23,6 +23,7 @@ from optshape_graph.pose.estimate import (
     unobservable_directions,
 )
 from optshape_graph.pose.evidence import alternative_labels, exit_probability, missed_rings, vertices_in_lidar
+from optshape_graph.pose.firing import place_on_firings
 from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
 from optshape_graph.pose.propagation import (
     EdgeGeometry,
@@ -32,6 +33,7 @@ from optshape_graph.pose.propagation import (
     edge_geometry,
     own_variance,
     propagate,
+    ring_shifts,
 )
 from optshape_graph.pose.sdp import Backend, certify
 from optshape_graph.scan import Scan
@@ -56,7 +58,7 @@ class _Candidates:
 def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel") -> PoseEstimate:
     """Estimate a target's pose from its returns; see `estimate_pose`."""
     scan, angular_noise = level_rings(scan)
-    edges = extract_edge_points(scan, angular_noise)
+    edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
     plane = fit_plane(scan.points, scan.ring)
     returns = returns_on_plane(scan.points, scan.ring, plane.axes[0], plane.distance, scan.sensor, angular_noise)
     on_plane = plane_measurement(returns, [f"range bias of ring {k}" for k in returns.rings])
@@ -208,7 +210,9 @@ def _edge_measurement(problem: Problem, candidates: _Candidates, same: Bools) ->
         boundary = problem.edges.points + one.inset[0][:, None] * problem.edges.outward(one.T_target_lidar[0, 0, :3])
         A, r = template_rows(boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]])
         offset = geometry.across[0] * problem.noise.COMMON
-        rows.append(np.sqrt(weight[k]) * np.column_stack([offset, A, r]) / sigma[:, None])
+        whitened = np.column_stack([offset, A, r]) / sigma[:, None]
+        shifts = _without_shifts(ring_shifts(problem.edges) * (geometry.along[0] / sigma)[:, None])
+        rows.append(np.sqrt(weight[k]) * shifts @ whitened)
         total += float(weight[k] * (1 / sigma**2).sum())
     stack = np.vstack(rows)
     measurement = BiasedMeasurement.from_rows(
@@ -219,6 +223,13 @@ def _edge_measurement(problem: Problem, candidates: _Candidates, same: Bools) ->
         shared=["offset across edges"],
     )
     return replace(measurement, n_rows=len(problem.edges)), total
+
+
+def _without_shifts(B: Floats) -> Floats:
+    """(M, M) matrix that whitens rows which unit-variance errors, columns B (M, K) of disjoint rows, share."""
+    B = B[:, B.any(axis=0)]
+    square = (B**2).sum(axis=0)
+    return np.asarray(np.eye(len(B)) - (B * ((1 - 1 / np.sqrt(1 + square)) / square)) @ B.T)
 
 
 def _weights(candidates: _Candidates, same: Bools) -> Floats:
@@ -280,7 +291,8 @@ def _explained(problem: Problem, geometry: EdgeGeometry, offset: float) -> float
     along = geometry.along[0]
     boundary = geometry.residual[0] + offset * geometry.across[0] + along * problem.edges.middle
     half = np.abs(along) * 0.5 * problem.edges.width
-    return float(np.mean(np.abs(boundary) < half + 3 * np.sqrt(own_variance(problem, geometry)[0])))
+    scatter = np.sqrt(own_variance(problem, geometry)[0] + (problem.edges.shift * along) ** 2)
+    return float(np.mean(np.abs(boundary) < half + 3 * scatter))
 
 
 def _verdict(
