@@ -37,7 +37,10 @@ def as_document(calibration: CameraCalibration) -> dict[str, Any]:
     document["views"] = [_view(result) for result in calibration.views]
     for key, validation in zip(("cross_validation", "k_fold"), calibration.cross_validations, strict=True):
         document[key] = {"protocol": validation.protocol, "views": len(validation.views), **validation.means()}
-    document["cameras"] = [_camera(calibration.rig.cameras[name]) for name in calibration.cameras]
+    document["cameras"] = [
+        {**_camera(calibration.rig.cameras[name]), "refined": name in calibration.refined}
+        for name in calibration.cameras
+    ]
     document["warnings"] = list(calibration.warnings)
     return document
 

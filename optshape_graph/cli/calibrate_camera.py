@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 @click.option("--camchain", type=click.Path(path_type=Path), help="Write a Kalibr-style camchain to this file.")
 @click.option("--use-target-points", is_flag=True, help="Take the targets' returns from the views' manual crops.")
 @click.option(
-    "--refine-intrinsics", is_flag=True, help="Refine the cameras' intrinsics too, the given ones being a prior."
+    "--refine-intrinsics/--keep-intrinsics",
+    default=None,
+    help="Refine the cameras' focal lengths and distortion, the given ones being a prior, or never do. Without "
+    "either: where the images contradict them.",
 )
 @click.option(
     "--range-bias-sigma",
@@ -33,7 +36,7 @@ def command(
     overlays: Path | None,
     camchain: Path | None,
     use_target_points: bool,
-    refine_intrinsics: bool,
+    refine_intrinsics: bool | None,
     range_bias_sigma: float,
 ) -> int:
     """Calibrate T_camera_lidar from scans and images of targets; no initial guess is needed.
