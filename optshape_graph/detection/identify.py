@@ -9,7 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.detection.candidates import Candidate
-from optshape_graph.detection.judge import edge_margin, judge, objection, returns_of
+from optshape_graph.detection.judge import edge_margin, judge, objection, returns_of, undoubted
 from optshape_graph.detection.results import Detection, Evidence, Rejection
 from optshape_graph.detection.runs import ring_ends
 from optshape_graph.detection.segments import Sweep
@@ -66,9 +66,11 @@ def identify(
     status, reason = best.estimate.status, best.estimate.reason
     if rival is not None and margin < AMBIGUITY_MARGIN:
         status, reason = "ambiguous", f"target '{rival.name}' is only {margin:.2g} less likely (log likelihood)"
-    indices = np.sort(sweep.index[best.rows])
+    rows = best.rows[np.argsort(sweep.index[best.rows])]
+    doubtful = ~undoubted(sweep, best.estimate, rows)
     target = best.estimate.target
-    return Detection(target, best.estimate, indices, best.evidence, rival, margin, status, reason), rejected
+    found = Detection(target, best.estimate, sweep.index[rows], doubtful, best.evidence, rival, margin, status, reason)
+    return found, rejected
 
 
 def rejection(candidate: Candidate, reason: str, target: str = "") -> Rejection:

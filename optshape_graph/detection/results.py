@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph._arrays import Bools, Floats, Ints, frozen
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.target import Target
 
@@ -46,7 +46,9 @@ class Detection:
     Attributes:
         target: which one.
         estimate: its pose, from these returns.
-        indices: (K,) rows of the scan that are its returns.
+        indices: (K,) rows of the scan that are its returns, those at its rim and of much noise included: the pose's.
+        doubtful: (K,) whether each might be taken for something else: outside the outline or within a standard
+            deviation of it, or among the 5 % furthest from the plane.
         evidence: for it.
         rival: the next likely of the targets asked for, where one fits as well; else None.
         margin: difference of log likelihoods to the rival; infinite where there is none.
@@ -58,6 +60,7 @@ class Detection:
     target: Target
     estimate: PoseEstimate
     indices: Ints
+    doubtful: Bools
     evidence: Evidence
     rival: Target | None
     margin: float
@@ -66,6 +69,7 @@ class Detection:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "indices", frozen(self.indices, np.int64))
+        object.__setattr__(self, "doubtful", frozen(self.doubtful, np.bool_))
 
     @property
     def score(self) -> float:

@@ -29,6 +29,9 @@ def test_found_with_its_returns(sensor, target: Target, distance: float, seed: i
     mine, others = shares(found, simulated)
     assert mine >= 0.97
     assert others <= 0.01
+    undoubted = found.indices[~found.doubtful]
+    assert 0.85 < len(undoubted) / len(found.indices) < 1.0
+    assert (simulated.surface[undoubted] == 0).all()
     assert found.status == "ok"
     assert found.target is target
     assert error_mm(found, T) < 15
