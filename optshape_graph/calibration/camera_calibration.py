@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -27,12 +29,14 @@ from optshape_graph.calibration.consistency import (
     scatter,
     squared_distances,
 )
+from optshape_graph.calibration.free_shape import MeasuredShape, measure_shape
 from optshape_graph.calibration.lens import LensCheck, check_lenses
 from optshape_graph.calibration.next_placement import NextPlacement, suggest_placement
 from optshape_graph.calibration.sightings import TargetInScan, View
 from optshape_graph.calibration.uncertainty import Uncertainty
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.target import Target
 
 FOLDS = 5
 FEW_VIEWS = 5
@@ -125,6 +129,21 @@ class CameraCalibration:
         T, covariance = self.transform(camera, lidar)
         target = self.views[pairs[0][0].views[0]].view.target
         return suggest_placement(target, pairs, self.rig.cameras[camera], T, covariance)
+
+    @cached_property
+    def shapes(self) -> dict[tuple[str, str], MeasuredShape]:
+        """Each target's shape by each LiDAR's scans of the used views, vertices free, by the names of both."""
+        used: dict[tuple[str, str], dict[int, TargetInScan]] = {}
+        targets: dict[str, Target] = {}
+        for result in self.views:
+            if result.used and (scan := result.view.scan) is not None:
+                used.setdefault((scan.lidar, result.view.target.name), {})[id(scan)] = scan
+                targets[result.view.target.name] = result.view.target
+        found = {}
+        for (lidar, name), scans in used.items():
+            with suppress(EstimationError):  # angles with noise: no shape to be told
+                found[lidar, name] = measure_shape([scan.own for scan in scans.values()], targets[name])
+        return found
 
     def _middle(self, lidar: str) -> Floats:
         used = [s for s in self.sightings if any(self.views[view].used for view in s.views)]
