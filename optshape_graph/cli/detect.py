@@ -86,6 +86,7 @@ def _target(detection: Detection) -> dict[str, Any]:
         "reason": detection.reason,
         "rival": detection.rival.name if detection.rival else None,
         "margin": detection.margin if detection.rival else None,
+        "probabilities": dict(detection.probabilities),
         "evidence": vars(detection.evidence),
     }
 

@@ -24,6 +24,10 @@ ROUNDS = 3
 """How often the returns are chosen again by the pose that they gave, at most."""
 
 
+UNLIKELY = 1e-3
+"""Probability below which a target that fits is not named as a candidate."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Fit:
     """One target fitted to a candidate: rows of the sweep taken for its returns, pose, evidence."""
@@ -64,12 +68,17 @@ def identify(
     rival = fits[order[1]].estimate.target if len(fits) > 1 else None
     margin = float(likelihoods[order[0]] - likelihoods[order[1]]) if len(fits) > 1 else np.inf
     status, reason = best.estimate.status, best.estimate.reason
+    share = np.exp(likelihoods[order] - np.logaddexp.reduce(likelihoods))
+    probabilities = {fits[k].estimate.target.name: float(p) for k, p in zip(order, share, strict=True)}
     if rival is not None and margin < AMBIGUITY_MARGIN:
-        status, reason = "ambiguous", f"target '{rival.name}' is only {margin:.2g} less likely (log likelihood)"
+        likely = ", ".join(f"'{name}' {100 * p:.2g} %" for name, p in probabilities.items() if p > UNLIKELY)
+        status, reason = "ambiguous", f"its returns do not tell the targets apart: {likely}"
     rows = best.rows[np.argsort(sweep.index[best.rows])]
     doubtful = ~undoubted(sweep, best.estimate, rows)
     target = best.estimate.target
-    found = Detection(target, best.estimate, sweep.index[rows], doubtful, best.evidence, rival, margin, status, reason)
+    found = Detection(
+        target, best.estimate, sweep.index[rows], doubtful, best.evidence, rival, margin, probabilities, status, reason
+    )
     return found, rejected
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +53,8 @@ class Detection:
         evidence: for it.
         rival: the next likely of the targets asked for, where one fits as well; else None.
         margin: difference of log likelihoods to the rival; infinite where there is none.
+        probabilities: by name, of each of the targets asked for that fits, had all been as likely before; the likeliest
+            first. They sum to 1: that it is one of them is what `evidence` is for.
         status: "ok"; "ambiguous" where another of the targets, or another pose of this one, is not ruled out; "failed"
             where the target is there, but its returns leave its pose undetermined.
         reason: why not "ok", else empty.
@@ -64,6 +67,7 @@ class Detection:
     evidence: Evidence
     rival: Target | None
     margin: float
+    probabilities: Mapping[str, float]
     status: str
     reason: str
 

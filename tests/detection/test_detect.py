@@ -95,7 +95,14 @@ def test_nearly_equal_shapes_are_flagged() -> None:
     found = only(detect_targets(simulated.scan, [PAPER, built]))
     assert found.status == "ambiguous"
     assert {found.target.name, found.rival.name} == {PAPER.name, built.name}
-    assert found.reason
+    assert set(found.probabilities) == {PAPER.name, built.name}
+    assert sum(found.probabilities.values()) == pytest.approx(1.0)
+    assert next(iter(found.probabilities)) == found.target.name
+    assert np.log(found.probabilities[found.target.name] / found.probabilities[found.rival.name]) == pytest.approx(
+        found.margin
+    )
+    assert f"'{PAPER.name}'" in found.reason
+    assert f"'{built.name}'" in found.reason
 
 
 def test_hung_before_a_wall() -> None:
