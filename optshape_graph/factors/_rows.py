@@ -12,10 +12,10 @@ from optshape_graph.errors import InputError
 def checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
     """Return `values` as floats, or raise an InputError; -1 in `shape` stands for any length."""
     array = np.asarray(values, dtype=float)
-    fits = array.ndim == len(shape) and all(s in (-1, a) for a, s in zip(array.shape, shape, strict=True))
-    if not fits:
+    found = array.shape
+    if found != shape and (len(found) != len(shape) or any(s not in (-1, a) for a, s in zip(found, shape, strict=True))):
         expected = " x ".join("N" if s == -1 else str(s) for s in shape)
-        raise InputError(f"{name}: expected {expected}, found shape {array.shape}")
+        raise InputError(f"{name}: expected {expected}, found shape {found}")
     if not np.isfinite(array).all():
         raise InputError(f"{name}: {int((~np.isfinite(array)).sum())} of {array.size} values are not finite")
     return array
@@ -34,7 +34,7 @@ def triangular(stack: Floats) -> Floats:
         blocks = np.linalg.qr(stack[:whole].reshape(-1, block, n), mode="r")
         stack = np.vstack([np.reshape(blocks, (-1, n)), stack[whole:]])
     R = np.asarray(np.linalg.qr(stack, mode="r")) if len(stack) else stack
-    return np.vstack([R, np.zeros((n - len(R), n))])
+    return R if len(R) == n else np.vstack([R, np.zeros((n - len(R), n))])
 
 
 def outer_rows(directions: Floats, normals: Floats) -> Floats:

@@ -38,7 +38,8 @@ def edge_rows(points: ArrayLike, normals: ArrayLike, offsets: ArrayLike) -> tupl
         InputError: shapes that do not fit, or values that are not finite.
     """
     p = checked("points", points, (-1, 3))
-    return template_rows(p, in_plane(checked("normals", normals, (len(p), 2))), offsets)
+    n = checked("normals", normals, (len(p), 2))
+    return _rows(p, in_plane(n)), -checked("offsets", offsets, (len(p),))
 
 
 def template_rows(points: ArrayLike, directions: ArrayLike, offsets: ArrayLike) -> tuple[Floats, Floats]:
@@ -58,7 +59,14 @@ def template_rows(points: ArrayLike, directions: ArrayLike, offsets: ArrayLike) 
     """
     p = checked("points", points, (-1, 3))
     m = checked("directions", directions, (len(p), 3))
-    return np.hstack([outer_rows(p, m), m]), -checked("offsets", offsets, (len(p),))
+    return _rows(p, m), -checked("offsets", offsets, (len(p),))
+
+
+def _rows(points: Floats, directions: Floats) -> Floats:
+    """Return the rows (N, 12) of m . (R p + t)."""
+    rows = np.empty((len(points), 12))
+    rows[:, :9], rows[:, 9:] = outer_rows(points, directions), directions
+    return rows
 
 
 def plane_rows(points: ArrayLike) -> tuple[Floats, Floats]:

@@ -12,13 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-import gtsam
 import numpy as np
 from scipy.stats import chi2
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.factors.se3 import adjoint, inverse
-from optshape_graph.factors.summary import Summary, summarise
+from optshape_graph.factors.summary import Summary, linearise
 from optshape_graph.mapping.sighting import Sighting
 
 CONFIDENCE = 0.999
@@ -79,27 +78,13 @@ def predictions(
     ]
     if not tried:
         return []
-    H = np.stack([one[4] for one in tried])
-    summaries = summarise([one[3] for one in tried], H)
-    residuals, jacobians = innovations(summaries, H)
+    model = linearise([one[3] for one in tried], [one[4] for one in tried])
+    H, residuals = model.T_target_lidar, model.residuals
+    # The target's pose moves H by -Ad(H^-1) xi, the LiDAR's by xi.
+    jacobians = np.concatenate([-model.R @ adjoint(inverse(H)), model.R], axis=2)
     return [
-        Pairing(k, name, h, T, summary, residual, jacobian)
-        for (k, name, h, _, T), summary, residual, jacobian in zip(tried, summaries, residuals, jacobians, strict=True)
+        Pairing(*one[:3], *found) for one, *found in zip(tried, H, model.summaries(), residuals, jacobians, strict=True)
     ]
-
-
-def innovations(summaries: Sequence[Summary], T_target_lidar: Floats) -> tuple[Floats, Floats]:
-    """Return residuals (m, 6) of predicted poses (m, 4, 4), whitened, and their derivatives (m, 6, 12) by both poses.
-
-    The target's pose comes first, then the LiDAR's.
-    """
-    S = np.stack([summary.sqrt_information for summary in summaries])
-    difference = inverse(np.stack([summary.T_target_lidar for summary in summaries])) @ T_target_lidar
-    steps = np.stack([gtsam.Pose3.Logmap(gtsam.Pose3(T)) for T in difference])
-    # Log(H_hat^-1 H Exp(xi)) = step + J_r^-1(step) xi, and the target moves H by -Ad(H^-1) xi.
-    by_lidar = S @ np.stack([gtsam.Pose3.LogmapDerivative(step) for step in steps])
-    by_target = -by_lidar @ adjoint(inverse(T_target_lidar))
-    return (S @ steps[..., None])[..., 0], np.concatenate([by_target, by_lidar], axis=2)
 
 
 def distance(residual: Floats, jacobian: Floats, covariance: Floats) -> tuple[float, float]:

@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
+from optshape_graph.errors import InputError
 from optshape_graph.factors._noise import gaussian
 
 
@@ -52,3 +53,19 @@ def sqrt_information(covariance: Floats) -> Floats:
         numpy.linalg.LinAlgError: the covariance is not positive definite.
     """
     return np.asarray(np.linalg.cholesky(np.linalg.inv(covariance)).T)
+
+
+def positive(covariance: Floats, what: str) -> Floats:
+    """Return the covariance (6, 6) of a pose.
+
+    Raises:
+        InputError: it is not 6 x 6, finite and positive definite.
+    """
+    C = np.asarray(covariance, float)
+    if C.shape == (6, 6) and np.isfinite(C).all():
+        try:
+            np.linalg.cholesky(C)
+            return C
+        except np.linalg.LinAlgError:
+            pass
+    raise InputError(f"{what} covariance: expected 6 x 6, positive definite; found shape {C.shape}: {C.tolist()}")

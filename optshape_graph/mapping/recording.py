@@ -238,6 +238,7 @@ def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: 
 def _lifted(fired: Scan, straight: Scan) -> float:
     """Largest change of a return's elevation by deskewing, in the least gap between the rings on the target."""
     before, after = (np.arctan2(p[:, 2], np.hypot(p[:, 0], p[:, 1])) for p in (fired.points, straight.points))
+    assert fired.ring is not None  # targets are found ring by ring
     _, ring = np.unique(fired.ring, return_inverse=True)
     of_ring = np.bincount(ring, before) / np.bincount(ring)
     return float(np.abs(after - before).max() / np.diff(of_ring).min())  # four rings at least: it was detected

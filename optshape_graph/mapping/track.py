@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from optshape_graph._arrays import Floats, frozen
 from optshape_graph.factors import TemplateMeasurement
 from optshape_graph.mapping.map import Map
+from optshape_graph.mapping.priors import sqrt_information
 from optshape_graph.mapping.sighting import Sighting
 from optshape_graph.target import Target
 
@@ -30,6 +32,11 @@ class Odometry:
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_i_j", frozen(self.T_i_j))
         object.__setattr__(self, "covariance", frozen(self.covariance))
+
+    @cached_property
+    def sqrt_information(self) -> Floats:
+        """(6, 6) square root information, upper triangular."""
+        return sqrt_information(self.covariance)
 
 
 @dataclass(frozen=True, eq=False)
