@@ -9,6 +9,7 @@ a solution at which the summaries made there leave no step is a solution of the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats
 from optshape_graph.factors._noise import gaussian
+from optshape_graph.factors._rows import factored
 from optshape_graph.factors.measurement import TemplateMeasurement
 from optshape_graph.factors.se3 import adjoint, inverse, vec, vec_derivative
 
@@ -42,6 +44,11 @@ class Summary:
     T_target_lidar: Floats
     sqrt_information: Floats
     floor: float
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether its factor has a residual and a derivative everywhere."""
+        return math.isfinite(np.vdot(self.sqrt_information, self.sqrt_information) + self.T_target_lidar.sum())
 
     def factor(
         self, k_target: int, k_lidar: int, loss: gtsam.noiseModel.mEstimator.Base | None = None
@@ -180,12 +187,12 @@ def _gauss_newton(L: Floats, b: Floats, H: Floats) -> tuple[Floats, Floats, Floa
     rows = np.empty((*b.shape, 7))
     np.matmul(L, vec_derivative(H), out=rows[..., :6])
     rows[..., 6] = (L @ vec(H)[..., None])[..., 0] + b
-    factor = np.asarray(np.linalg.qr(rows, mode="r"))
+    factor = factored(rows)
     R, d, rest = factor[:, :6, :6], factor[:, :6, 6:], factor[:, 6, 6]
     diagonal = np.abs(factor.diagonal(axis1=1, axis2=2)[:, :6])
     full = diagonal.min(axis=1) > RANK_TOLERANCE * diagonal.max(axis=1)
     if full.all():
-        return R, -np.linalg.solve(R, d)[..., 0], 0.5 * rest**2
+        return R, np.asarray(-np.linalg.solve(R, d)[..., 0]), 0.5 * rest**2
     xi = np.zeros(d.shape)
     xi[full] = -np.linalg.solve(R[full], d[full])
     xi[~full] = -np.linalg.pinv(R[~full], rcond=RANK_TOLERANCE) @ d[~full]

@@ -59,7 +59,7 @@ def rings_of_ids(points: Floats, ids: Ints, sensor: SensorModel | None, name: st
     """
     counts = np.bincount(ids)
     present = np.flatnonzero(counts)
-    inverse, counts = (np.cumsum(counts > 0) - 1)[ids], counts[present]
+    inverse, counts = np.asarray(np.cumsum(counts > 0) - 1)[ids], counts[present]
     elevation = _elevations(points)
     if not _are_level(elevation, inverse, counts):
         if sensor is not None:

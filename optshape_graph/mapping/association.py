@@ -71,19 +71,21 @@ def predictions(
         T_world_lidar: (4, 4) predicted.
     """
     tried = [
-        (k, name, h, measurement, inverse(T) @ T_world_lidar)
+        (k, name, h, measurement, T)
         for k, (sighting, landmarks) in enumerate(zip(sightings, possible, strict=True))
         for name, T in landmarks.items()
         for h, measurement in enumerate(sighting.hypotheses)
     ]
     if not tried:
         return []
-    model = linearise([one[3] for one in tried], [one[4] for one in tried])
-    H, residuals = model.T_target_lidar, model.residuals
+    H = inverse(np.array([one[4] for one in tried])) @ T_world_lidar
+    model = linearise([one[3] for one in tried], H)
     # The target's pose moves H by -Ad(H^-1) xi, the LiDAR's by xi.
     jacobians = np.concatenate([-model.R @ adjoint(inverse(H)), model.R], axis=2)
+    summaries, residuals = model.summaries(), model.residuals
     return [
-        Pairing(*one[:3], *found) for one, *found in zip(tried, H, model.summaries(), residuals, jacobians, strict=True)
+        Pairing(k, name, h, H[n], summaries[n], residuals[n], jacobians[n])
+        for n, (k, name, h, _, _) in enumerate(tried)
     ]
 
 
@@ -109,10 +111,11 @@ def plain(pairings: Sequence[Pairing], n_sightings: int, motion: Floats) -> list
         return None
     if [pairing.sighting for pairing in pairings] != list(range(n_sightings)):
         return None
-    residual = np.stack([pairing.residual for pairing in pairings])
-    J = np.stack([pairing.jacobian[:, 6:] for pairing in pairings])
-    S = np.eye(6) + J @ motion @ np.swapaxes(J, 1, 2)
-    d2 = np.einsum("mi,mi->m", residual, np.linalg.solve(S, residual[..., None])[..., 0])
+    residual = np.array([pairing.residual for pairing in pairings])
+    J = np.array([pairing.jacobian[:, 6:] for pairing in pairings])
+    S = J @ motion @ J.swapaxes(1, 2)
+    S[:, range(6), range(6)] += 1.0
+    d2 = (residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(axis=1)
     return list(pairings) if d2.max() < gate(6) else None
 
 

@@ -19,7 +19,6 @@ from optshape_graph.mapping.candidates import MOST_CARRIED, Candidate
 from optshape_graph.mapping.landmark_graph import LandmarkGraph
 from optshape_graph.mapping.locate import locate
 from optshape_graph.mapping.map import Map, rigid
-from optshape_graph.mapping.priors import positive
 from optshape_graph.mapping.sighting import Sighting
 from optshape_graph.mapping.track import MappingProblem, Match, Odometry, Start, Track
 from optshape_graph.target import Target
@@ -128,7 +127,7 @@ class LandmarkSlam:
         newest = len(self._poses)
         if T_previous_current is not None and covariance is not None and newest:
             T = rigid(T_previous_current, "odometry")
-            self._pending = Odometry(newest - 1, newest, T, positive(covariance, "odometry"))
+            self._pending = Odometry(newest - 1, newest, T, covariance)
             self._poses.append(self._poses[-1] @ T)
             self._stamps.append(stamp)
             return newest

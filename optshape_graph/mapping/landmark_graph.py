@@ -19,7 +19,7 @@ from optshape_graph.factors import Summary, summarise
 from optshape_graph.factors._noise import gaussian
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.mapping.map import Landmark, Map, rigid
-from optshape_graph.mapping.priors import joint_prior, positive, sqrt_information
+from optshape_graph.mapping.priors import joint_prior, root_of
 from optshape_graph.mapping.smoother import Smoother
 from optshape_graph.mapping.track import Match, Odometry, Start
 from optshape_graph.target import Target
@@ -31,7 +31,7 @@ six dimensions is nearer."""
 STALE_M = 5e-4
 """A summary is made again when the target has turned so far since that the second-order term moves a return by this."""
 
-CHECKED_NEW, CHECKED_OLD = 30, 60
+CHECKED_NEW, CHECKED_OLD = 20, 40
 """How many summaries are looked at at a time: of the newest, and of the others in turn."""
 
 SETTLING = 10
@@ -147,7 +147,7 @@ class LandmarkGraph:
         """Add the first pose, where it is known to be."""
         values, pose = gtsam.Values(), gtsam.Pose3(rigid(start.T_world_lidar, "start"))
         values.insert(X(0), pose)
-        prior = gtsam.PriorFactorPose3(X(0), pose, gaussian(sqrt_information(positive(start.covariance, "start"))))
+        prior = gtsam.PriorFactorPose3(X(0), pose, gaussian(root_of(start.covariance, "start")))
         self._smoother.update([prior], values, stamps={X(0): stamp})
 
     def add_pose(
@@ -173,13 +173,14 @@ class LandmarkGraph:
         factors: list[gtsam.NonlinearFactor] = [
             summary.factor(self.landmarks[match.landmark].key, X(pose), self._loss) for match, _, summary in matches
         ]
+        finite = all(summary.is_finite for _, _, summary in matches)
         values = gtsam.Values()
         if initial is not None:
             values.insert(X(pose), gtsam.Pose3(initial))
         if odometry is not None:
             motion, noise = gtsam.Pose3(odometry.T_i_j), gaussian(odometry.sqrt_information)
             factors.append(gtsam.BetweenFactorPose3(X(odometry.i), X(odometry.j), motion, noise))
-        handles = self._smoother.update(factors, values, stamps={X(pose): stamp})
+        handles = self._smoother.update(factors, values, stamps={X(pose): stamp}, finite=finite)
         if odometry is not None:
             self.odometry.append(odometry)
         for (match, T, _), handle in zip(matches, handles, strict=False):

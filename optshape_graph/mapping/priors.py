@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import gtsam
 import numpy as np
@@ -55,17 +56,16 @@ def sqrt_information(covariance: Floats) -> Floats:
     return np.asarray(np.linalg.cholesky(np.linalg.inv(covariance)).T)
 
 
-def positive(covariance: Floats, what: str) -> Floats:
-    """Return the covariance (6, 6) of a pose.
+def root_of(covariance: Floats, what: str) -> Floats:
+    """Return the square root information (6, 6) of a pose's covariance.
 
     Raises:
-        InputError: it is not 6 x 6, finite and positive definite.
+        InputError: the covariance is not 6 x 6, finite and positive definite.
     """
     C = np.asarray(covariance, float)
-    if C.shape == (6, 6) and np.isfinite(C).all():
-        try:
-            np.linalg.cholesky(C)
-            return C
-        except np.linalg.LinAlgError:
-            pass
+    if C.shape == (6, 6):
+        with suppress(np.linalg.LinAlgError):
+            root = sqrt_information(C)
+            if np.isfinite(root).all():
+                return root
     raise InputError(f"{what} covariance: expected 6 x 6, positive definite; found shape {C.shape}: {C.tolist()}")

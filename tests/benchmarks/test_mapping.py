@@ -12,7 +12,7 @@ from gtsam.symbol_shorthand import L, X
 
 from optshape_graph.evaluation.metrics import pose_error
 from optshape_graph.evaluation.trajectories import absolute_error, pose_nees, predicted_rmse
-from optshape_graph.factors import TemplateCallbackFactor, TemplateMeasurement, edge_rows, plane_rows, summarise
+from optshape_graph.factors import TemplateCallbackFactor, TemplateMeasurement, summarise
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.io import load_sensor
 from optshape_graph.io.recordings import Recording
@@ -143,9 +143,7 @@ def scans(n_poses: int, n_points: int = 40):
 
 
 def template_measurement(points: np.ndarray, edge: np.ndarray, T: np.ndarray) -> TemplateMeasurement:
-    A, r = edge_rows(points, TARGET.normals[edge], TARGET.offsets[edge])
-    P, s = plane_rows(points)
-    return TemplateMeasurement.from_rows(np.vstack([A, P]) / SIGMA, np.append(r, s) / SIGMA, T)
+    return TemplateMeasurement.from_edge_points(points, TARGET.normals[edge], TARGET.offsets[edge], SIGMA, SIGMA, T)
 
 
 @pytest.mark.benchmark
