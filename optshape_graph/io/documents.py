@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -185,6 +186,11 @@ def check_schema(root: Node, kind: str, version: int = 1) -> None:
         root.fail(f"the key 'schema' is missing; a {kind} file says 'schema: {wanted}'")
     schema = root.at("schema")
     if schema.value != wanted:
+        found = re.fullmatch(rf"optshape/{re.escape(kind)}/([0-9]{{1,9}})", str(schema.value))
+        if found and int(found[1]) > version:
+            schema.fail(
+                f"'{schema.value}' is a newer form of {kind} file; this version of optshape_graph reads '{wanted}'"
+            )
         schema.expected(f"'{wanted}'")
 
 
