@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.viz.style import GREY, INK, PURPLE, colour, marker, new_figure, plain
+from optshape_graph.viz.style import GREY, INK, PURPLE, colour, legend_below, marker, new_figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,7 +59,7 @@ def plot_graph(
     axes.margins(0.08)
     axes.set(xlabel="x of the world (m)", ylabel="y of the world (m)")
     axes.set_title(f"{values.size()} variables, {sum(kinds.values())} factors: {_said(kinds)}")
-    figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    legend_below(figure, columns=3)
     return figure
 
 
@@ -74,8 +74,8 @@ def _lines(axes: Axes, graph: gtsam.NonlinearFactorGraph, places: Mapping[int, F
     for factor in (graph.at(k) for k in range(graph.size())):
         if factor is None:
             continue
-        keys = [key for key in factor.keys() if key in places]
-        n = len(factor.keys())
+        every = list(factor.keys())
+        keys, n = [key for key in every if key in places], len(every)
         kinds[_arity(n)] = kinds.get(_arity(n), 0) + 1
         if n == 1 and keys:
             alone.append(places[keys[0]])

@@ -14,6 +14,7 @@ from optshape_graph.viz.style import (
     VERMILLION,
     colour,
     ellipse,
+    legend_below,
     magnification,
     new_figure,
     outline,
@@ -62,7 +63,7 @@ def plot_map(result: Map, magnify: float | None = None) -> Figure:
     large = "" if magnify == 1 else f", drawn {magnify:g} times too large"
     axes.set_title(f"{len(result.landmarks)} landmarks; ellipses of {SIGMAS:g} standard deviations{large}")
     if result.trajectories:
-        figure.legend(loc="outside lower center", ncols=4, frameon=False)
+        legend_below(figure)
     return figure
 
 
@@ -91,7 +92,7 @@ def plot_structure(problem: MappingProblem) -> Figure:
             axes.annotate(name, tuple(T[:2, 3]), textcoords="offset points", xytext=(8, 6))
     axes.autoscale_view()
     axes.set_title(f"factor graph: {len(problem.T_world_target)} landmarks (squares), lines from where they were seen")
-    figure.legend(loc="outside lower center", ncols=4, frameon=False)
+    legend_below(figure)
     return figure
 
 

@@ -9,11 +9,13 @@ import numpy as np
 
 from optshape_graph.calibration.mocap import MocapCalibration
 from optshape_graph.calibration.mocap_comparison import MocapScan, ScanError
+from optshape_graph.evaluation.harness import Row
 from optshape_graph.target import Target
 from optshape_graph.viz.style import (
     INK,
     colour,
     ellipse,
+    legend_below,
     magnification,
     marker,
     new_figure,
@@ -57,8 +59,7 @@ def plot_errors(
         axes.set_xlim(left=0.0)
     panels[0].set_yticks(rows, names or [str(k) for k in rows])
     panels[0].invert_yaxis()
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(series), frameon=False)
+    legend_below(figure, panels[0])
     figure.suptitle(f"{title} (dashed: means)")
     return figure
 
@@ -74,6 +75,24 @@ def plot_calibration_errors(calibration: MocapCalibration) -> Figure:
         "in-sample: frames tied by all scans": calibration.in_sample,
     }
     return plot_errors(series)
+
+
+def plot_table(rows: Sequence[Row], series: Mapping[str, str]) -> Figure:
+    """Plot the errors of several sessions' scans beside those of other methods.
+
+    Args:
+        rows: of `evaluate_mocap`.
+        series: prefix of columns to what their errors are called; see `evaluation.mocap.PROTOCOLS`.
+
+    Raises:
+        MissingExtraError: matplotlib is absent.
+    """
+
+    def errors(row: Row, prefix: str) -> ScanError | None:
+        values = [row[f"{prefix}{field}"] for field, _, _ in PANELS]
+        return None if None in values else ScanError(f"{row['session']}/{row['scan']}", *values)
+
+    return plot_errors({name: [errors(row, prefix) for row in rows] for prefix, name in series.items()})
 
 
 def plot_placements(scans: Sequence[MocapScan], calibration: MocapCalibration) -> Figure:
@@ -94,7 +113,15 @@ def plot_placements(scans: Sequence[MocapScan], calibration: MocapCalibration) -
     for k, scan in enumerate(scans):
         seen = calibration.scale * scan.markers @ T[:3, :3].T + T[:3, 3]
         outline(axes, scan.estimate.vertices[:, :2], colour(k), label=scan.name)
-        axes.plot(*seen[:, :2].T, ls="", marker="o", mfc="none", color=INK, ms=5, label="markers" if k == len(scans) - 1 else None)
+        axes.plot(
+            *seen[:, :2].T,
+            ls="",
+            marker="o",
+            mfc="none",
+            color=INK,
+            ms=5,
+            label="markers" if k == len(scans) - 1 else None,
+        )
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x of the LiDAR (m)", ylabel="y of the LiDAR (m)")
     figure.legend(loc="outside right upper", frameon=False, title="targets, by the LiDAR")
@@ -139,7 +166,6 @@ def plot_marker_layout(target: Target, calibration: MocapCalibration) -> Figure:
     axes.set(xlabel="y of the target (m), to the left", ylabel="z of the target (m)")
     large = "" if factor == 1 else f"; offsets drawn {factor:g} times too large"
     axes.set_title(f"markers and vertices, as the LiDAR sees them{large}")
-    handles, labels = axes.get_legend_handles_labels()
     title = f"from each vertex to its marker (dotted: {SIGMAS:g} standard deviations)"
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, title=title)
+    legend_below(figure, columns=2, title=title)
     return figure

@@ -24,11 +24,13 @@ from optshape_graph.viz.style import (
     VERMILLION,
     colour,
     ellipse,
+    legend_below,
     magnification,
     marker,
     new_figure,
     outline,
     plain,
+    short,
 )
 
 if TYPE_CHECKING:
@@ -40,6 +42,31 @@ SIGMAS = 3.0
 
 FRONT_TO_SIDE = 2.2
 """Width of the front to that of the side."""
+
+
+def plot_estimate(scan: Scan, estimate: PoseEstimate) -> dict[str, Figure]:
+    """Draw all there is to see of an estimate: fit, edges, residuals, vertices, and where ambiguous the runner-up.
+
+    Args:
+        scan: the returns that the estimate was made of.
+        estimate: of the pose; of a failed one, the vertices are not drawn.
+
+    Returns:
+        The figures, by what they are of.
+
+    Raises:
+        MissingExtraError: matplotlib is absent.
+    """
+    figures = {
+        "fit": plot_fit(scan, estimate),
+        "edges": plot_edge_labels(estimate, scan.name),
+        "residuals": plot_residuals(scan, estimate),
+    }
+    if estimate.status != "failed":
+        figures["vertices"] = plot_vertices(estimate, scan.name)
+    if estimate.status == "ambiguous" and estimate.ambiguity.T_lidar_target is not None:
+        figures["runner_up"] = plot_runner_up(scan, estimate)
+    return figures
 
 
 def plot_fit(scan: Scan, estimate: PoseEstimate) -> Figure:
@@ -61,12 +88,14 @@ def plot_fit(scan: Scan, estimate: PoseEstimate) -> Figure:
     _name_vertices(front, estimate.target)
 
     side.plot(1e3 * points[:, 0], points[:, 2], ".", color=GREY, ms=3)
-    side.plot([0.0, 0.0], [estimate.target.polygon[:, 1].min(), estimate.target.polygon[:, 1].max()], color=BLUE, lw=1.6)
+    side.plot(
+        [0.0, 0.0], [estimate.target.polygon[:, 1].min(), estimate.target.polygon[:, 1].max()], color=BLUE, lw=1.6
+    )
     reach = max(1.15e3 * float(np.abs(points[:, 0]).max(initial=0.0)), 5.0)
     side.set(xlim=(-reach, reach), xlabel="distance behind the plane (mm)")
     side.set_title(f"side, stretched\n{1e3 * estimate.plane_rms:.1f} mm rms from the plane", fontsize=11)
     figure.suptitle(_title(scan, estimate))
-    _legend_below(figure, front)
+    legend_below(figure, front)
     return figure
 
 
@@ -99,7 +128,7 @@ def plot_edge_labels(estimate: PoseEstimate, name: str = "") -> Figure:
             axes.plot([a[0], b[0]], [a[1], b[1]], color=colour(k), lw=1.0, alpha=0.7)
     _name_vertices(axes, target)
     axes.set_title(f"{_colon(name)}{len(points)} edge points, and the part of the ring in which the edge lies (lines)")
-    _legend_below(figure, axes)
+    legend_below(figure, axes)
     return figure
 
 
@@ -114,6 +143,8 @@ def plot_residuals(scan: Scan, estimate: PoseEstimate) -> Figure:
         MissingExtraError: matplotlib is absent.
     """
     figure = new_figure(9.0, 7.0)
+    from matplotlib.ticker import MaxNLocator
+
     across, depth = (plain(axes) for axes in figure.subplots(2, 1, sharex=True))
     rings, labels = estimate.edge_points.ring, estimate.labels
     residual, sigma = 1e3 * estimate.edge_residuals, 1e3 * estimate.edge_sigma
@@ -142,8 +173,8 @@ def plot_residuals(scan: Scan, estimate: PoseEstimate) -> Figure:
         )  # fmt: skip
     depth.axhline(0.0, color=INK, lw=0.8)
     depth.set(xlabel="ring, counted from the lowest", ylabel="distance from the plane (mm)\nbehind: positive")
-    depth.xaxis.get_major_locator().set_params(integer=True)
-    _legend_below(figure, across, depth)
+    depth.xaxis.set_major_locator(MaxNLocator(integer=True))
+    legend_below(figure, across, depth, columns=6)
     figure.suptitle(_title(scan, estimate))
     return figure
 
@@ -182,7 +213,7 @@ def plot_vertices(estimate: PoseEstimate, name: str = "") -> Figure:
     side.set(xlim=(-reach, reach), xlabel="distance behind the plane (m)", title="side")
     large = "" if factor == 1 else f", drawn {factor:g} times too large"
     figure.suptitle(f"{_colon(name)}vertices, ellipses of {SIGMAS:g} standard deviations{large}")
-    _legend_below(figure, front, title="vertex: largest standard deviation in the plane, and across it")
+    legend_below(figure, front, title="vertex: largest standard deviation in the plane, and across it")
     return figure
 
 
@@ -216,10 +247,11 @@ def plot_runner_up(scan: Scan, estimate: PoseEstimate) -> Figure:
         axes.annotate(f"{k}'", (y, z), textcoords="offset points", xytext=(18 * -away[0], 18 * away[1]),
                       ha="center", va="center", color=VERMILLION)  # fmt: skip
     axes.set_title(
-        f"{scan.name}, {estimate.status}: log likelihood of the runner-up {estimate.ambiguity.margin:.1f} lower\n"
+        f"{short(scan.name)}, {estimate.status}: "
+        f"the runner-up's log likelihood is {estimate.ambiguity.margin:.1f} lower\n"
         f"(below {AMBIGUITY_MARGIN:g} a different pose is not ruled out)", fontsize=11,
     )  # fmt: skip
-    _legend_below(figure, axes)
+    legend_below(figure, axes)
     return figure
 
 
@@ -259,24 +291,18 @@ def _name_vertices(axes: Axes, target: Target, beyond: Floats | float = 0.0) -> 
     """Write each vertex's number outside the target, `beyond` metres away and a little more."""
     for k, far in enumerate(np.broadcast_to(beyond, len(target))):
         away = target.polygon[k] / np.linalg.norm(target.polygon[k])
-        axes.annotate(f"{k}", tuple(target.polygon[k] + far * away), textcoords="offset points", xytext=(14 * -away[0], 14 * away[1]),
-                      ha="center", va="center", color=INK, fontweight="bold")  # fmt: skip
-
-
-def _legend_below(figure: Figure, *axes: Axes, title: str | None = None) -> None:
-    found = [axis.get_legend_handles_labels() for axis in axes]
-    handles, labels = (sum((part[k] for part in found), []) for k in (0, 1))
-    columns = min(len(labels), 6 if len(axes) > 1 else 4)
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False, title=title)
+        place = tuple(target.polygon[k] + far * away)
+        axes.annotate(f"{k}", place, textcoords="offset points", xytext=(14 * -away[0], 14 * away[1]), ha="center",
+                      va="center", color=INK, fontweight="bold")  # fmt: skip
 
 
 def _colon(name: str) -> str:
-    return f"{name}: " if name else ""
+    return f"{short(name)}: " if name else ""
 
 
 def _title(scan: Scan, estimate: PoseEstimate) -> str:
     distance = float(np.linalg.norm(estimate.T_lidar_target[:3, 3]))
     return (
-        f"{scan.name}: '{estimate.target.name}' at {distance:.2f} m, {estimate.status}; "
+        f"{short(scan.name)}: '{estimate.target.name}' at {distance:.2f} m, {estimate.status}; "
         f"{estimate.n_returns} returns on {estimate.edge_points.n_rings} rings"
     )

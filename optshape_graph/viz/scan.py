@@ -10,7 +10,8 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.detection import Detections, Rejection
 from optshape_graph.scan import Scan
-from optshape_graph.viz.style import INK, PALE, VERMILLION, new_figure, plain
+from optshape_graph.simulation import SimulatedScan
+from optshape_graph.viz.style import INK, PALE, VERMILLION, new_figure, plain, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,8 +32,8 @@ def plot_scan(scan: Scan, targets: Mapping[str, Floats] | None = None, title: st
     Raises:
         MissingExtraError: matplotlib is absent.
     """
-    figure, seen, above = _drawn(scan, targets or {})
-    figure.suptitle(title or f"{scan.name}: {len(scan)} returns")
+    figure, _, _ = _drawn(scan, targets or {})
+    figure.suptitle(title or f"{short(scan.name)}: {len(scan)} returns")
     return figure
 
 
@@ -55,8 +56,25 @@ def plot_detections(scan: Scan, detections: Detections) -> Figure:
         above.plot(centres[:, 0], centres[:, 1], "x", color=INK, ms=6, mew=1.4, label="looked at, and no target")
         above.legend(loc="upper right", fontsize=9)
     n = len(detections.found)
-    figure.suptitle(f"{scan.name}: {n} target{'' if n == 1 else 's'} found among {len(scan)} returns")
+    figure.suptitle(f"{short(scan.name)}: {n} target{'' if n == 1 else 's'} found among {len(scan)} returns")
     return figure
+
+
+def plot_simulation(simulated: SimulatedScan) -> Figure:
+    """Draw a simulated scan, with the true outlines of the targets.
+
+    Args:
+        simulated: the scan and its truth.
+
+    Raises:
+        MissingExtraError: matplotlib is absent.
+    """
+    patches, poses = simulated.scene.targets, simulated.T_lidar_targets
+    outlines = {
+        name: patch.shape.vertices @ T[:3, :3].T + T[:3, 3]
+        for name, patch, T in zip(_unique([patch.shape.name for patch in patches]), patches, poses, strict=True)
+    }
+    return plot_scan(simulated.scan, outlines)
 
 
 def _drawn(scan: Scan, targets: Mapping[str, Floats]) -> tuple[Figure, Axes, Axes]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -76,6 +76,23 @@ def plain(axes: Axes, *, equal: bool = False) -> Axes:
     if equal:
         axes.set_aspect("equal", adjustable="box")
     return axes
+
+
+def legend_below(figure: Figure, *axes: Axes, columns: int = 4, title: str | None = None) -> None:
+    """Put one legend below a figure: of some axes, or of all."""
+    handles, labels = [], []
+    for axis in axes or figure.axes:
+        found = axis.get_legend_handles_labels()
+        handles += found[0]
+        labels += found[1]
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=min(len(labels), columns), frameon=False, title=title
+    )
+
+
+def short(name: str) -> str:
+    """Return the last part of a scan's name, where that is a path."""
+    return PurePath(name).name or name
 
 
 def outline(axes: Axes, polygon: Floats, colour: str = INK, **style: object) -> None:
