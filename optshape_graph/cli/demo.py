@@ -28,14 +28,12 @@ Your own: optshape estimate SCAN.pcd --target board.yaml --sensor vlp32c --plot 
 @click.pass_context
 def command(ctx: click.Context, output: Path) -> int:
     """Calibrate a bundled session of a LiDAR to motion capture: a result and pictures, in seconds."""
-    import optshape_graph
     from optshape_graph.cli import calibrate_mocap
     from optshape_graph.errors import InputError, MissingExtraError
-    from optshape_graph.io import load_session, read_scan
+    from optshape_graph.io import demo_folder, load_session, read_scan
     from optshape_graph.pose import estimate_pose
 
-    data = Path(optshape_graph.__file__).parent / "data/demo"
-    session = load_session(data / "session.yaml")
+    session = load_session(demo_folder() / "session.yaml")
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
