@@ -135,6 +135,8 @@ def plot_edge_labels(estimate: PoseEstimate, name: str = "") -> Figure:
 def plot_residuals(scan: Scan, estimate: PoseEstimate) -> Figure:
     """Plot how far the edge points are from their edges, and how far each ring is from the plane.
 
+    What all edge points have in common (dashed) depends on beam and surface; the estimate allows for it.
+
     Args:
         scan: the returns that the estimate was made of.
         estimate: of the pose.
@@ -154,9 +156,14 @@ def plot_residuals(scan: Scan, estimate: PoseEstimate) -> Figure:
         across.errorbar(rings[mine] + offset, residual[mine], sigma[mine], ls="", marker=marker(k), ms=4, lw=0.9,
                         color=colour(k), label=f"edge {k}")  # fmt: skip
     across.axhline(0.0, color=INK, lw=0.8)
-    normalised = float(np.sqrt(np.mean((estimate.edge_residuals / estimate.edge_sigma) ** 2)))
+    common = float(np.average(residual, weights=1 / sigma**2))
+    normalised = float(np.sqrt(np.mean(((residual - common) / sigma) ** 2)))
+    across.axhline(common, color=GREY, lw=1.0, ls="--", label="in common")
     across.set_ylabel("distance from the edge (mm)\noutside: positive")
-    across.set_title(f"edges: {normalised:.2f} standard deviations rms (bars: ± 1)", fontsize=11)
+    across.set_title(
+        f"edges: {common:+.0f} mm in common, and {normalised:.2f} standard deviations rms about that (bars: ± 1)",
+        fontsize=11,
+    )
     reach = 1.2 * float(np.abs(residual).max(initial=1.0)) + float(np.median(sigma))
     across.set_ylim(-reach, reach)  # the bar of an end that tells nothing of its edge may go beyond
 
@@ -174,7 +181,7 @@ def plot_residuals(scan: Scan, estimate: PoseEstimate) -> Figure:
     depth.axhline(0.0, color=INK, lw=0.8)
     depth.set(xlabel="ring, counted from the lowest", ylabel="distance from the plane (mm)\nbehind: positive")
     depth.xaxis.set_major_locator(MaxNLocator(integer=True))
-    legend_below(figure, across, depth, columns=6)
+    legend_below(figure, across, depth, columns=7)
     figure.suptitle(_title(scan, estimate))
     return figure
 
