@@ -17,8 +17,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 .PHONY: demo test bench setup system
 
 demo: setup
-	@mkdir -p optshape-demo
-	$(BIN)/optshape calibrate mocap optshape_graph/data/demo/session.yaml --json optshape-demo/mocap.json
+	$(BIN)/optshape demo
 
 test: setup
 	$(BIN)/ruff check .

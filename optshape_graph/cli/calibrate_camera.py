@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from optshape_graph.cli.plots import Pictures, plot_option
+
 if TYPE_CHECKING:
     from optshape_graph.calibration.camera_calibration import CameraCalibration
 
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
-@click.option("--overlays", type=click.Path(path_type=Path), help="Write an image per view, returns drawn on it, here.")
+@plot_option("errors of the views, and for each its image with the returns and outlines", "--overlays")
 @click.option("--camchain", type=click.Path(path_type=Path), help="Write a Kalibr-style camchain to this file.")
 @click.option("--use-target-points", is_flag=True, help="Take the targets' returns from the views' manual crops.")
 @click.option(
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
 def command(
     session: Path,
     json_path: Path | None,
-    overlays: Path | None,
+    plots: Path | None,
     camchain: Path | None,
     use_target_points: bool,
     refine_intrinsics: bool | None,
@@ -60,12 +62,15 @@ def command(
         write_json(json_path, as_document(calibration))
     if camchain:
         write_yaml(camchain, kalibr_camchain(calibration))
-    if overlays:
-        from optshape_graph.viz.camera import save_overlays
-
-        with progress_bar("overlays") as progress:
-            save_overlays(calibration, overlays, progress)
     _print(calibration)
+    if plots:
+        from optshape_graph.viz.camera import plot_view_errors, save_overlays
+
+        pictures = Pictures(plots)
+        pictures.save("errors", plot_view_errors(calibration))
+        with progress_bar("overlays") as progress:
+            pictures.paths += save_overlays(calibration, plots, progress)
+        pictures.tell()
     return 0 if all(result.used for result in calibration.views) else 3
 
 
