@@ -1,4 +1,4 @@
-"""What pages take from the package itself when the documentation is built: the commands with their help, the schemas."""
+"""What pages take from the package itself when they are built: the commands with their help, the schemas."""
 
 from __future__ import annotations
 
