@@ -120,7 +120,12 @@ def relative_azimuth(points: Floats) -> tuple[Floats, float]:
 
 
 def azimuth_spacing(azimuth: Floats, ring: Ints) -> float | None:
-    """Median azimuth between neighbouring returns of a ring, rad; None where no ring has two returns."""
+    """Median azimuth between neighbouring returns of a ring, rad; None where no ring has two returns.
+
+    Args:
+        azimuth: (N,) of each return, rad.
+        ring: (N,) of each return.
+    """
     order = np.lexsort((azimuth, ring))
     gaps = np.diff(azimuth[order])[np.diff(ring[order]) == 0]
     gaps = gaps[gaps > 1e-6]

@@ -103,7 +103,13 @@ def innovations(summaries: Sequence[Summary], T_target_lidar: Floats) -> tuple[F
 
 
 def distance(residual: Floats, jacobian: Floats, covariance: Floats) -> tuple[float, float]:
-    """Return the squared Mahalanobis distance of a whitened residual, and the log determinant of its covariance."""
+    """Return the squared Mahalanobis distance of a whitened residual, and the log determinant of its covariance.
+
+    Args:
+        residual: (m,) whitened by the measurement alone.
+        jacobian: (m, d) its derivative by the poses, right perturbations, rotation (rad) first, then metres.
+        covariance: (d, d) matrix of the poses.
+    """
     S = np.linalg.cholesky(np.eye(len(residual)) + jacobian @ covariance @ jacobian.T)
     white = np.linalg.solve(S, residual)
     return float(white @ white), 2.0 * float(np.log(np.diag(S)).sum())
@@ -136,7 +142,7 @@ def gated(pairings: Sequence[Pairing], covariance: Floats, order: Mapping[str, i
 
     Args:
         pairings: all of a scan.
-        covariance: joint covariance of all landmarks in question and the LiDAR's pose, which is last.
+        covariance: (d, d) joint covariance of all landmarks in question and the LiDAR's pose, which is last.
         order: position of each landmark's block in `covariance`.
     """
     best: dict[tuple[int, str], Pairing] = {}
@@ -150,7 +156,7 @@ def gated(pairings: Sequence[Pairing], covariance: Floats, order: Mapping[str, i
 
 
 def block(position: int, size: int) -> Ints:
-    """Return the rows of a landmark and of the LiDAR's pose, which is last, in a joint covariance of `size` rows."""
+    """Return the rows (12,) of a landmark and of the LiDAR's pose, last, in a joint covariance of `size` rows."""
     return np.concatenate([np.arange(6 * position, 6 * position + 6), np.arange(size - 6, size)])
 
 
@@ -164,7 +170,7 @@ def associate(
     Args:
         pairings: that have passed the gate alone, the likeliest first.
         n_sightings: number of sightings of the scan.
-        covariance: joint covariance of the landmarks and the LiDAR's pose, which is last.
+        covariance: (d, d) joint covariance of the landmarks and the LiDAR's pose, which is last.
         order: position of each landmark's block in `covariance`.
     """
     candidates = [[p for p in pairings if p.sighting == k] for k in range(n_sightings)]

@@ -54,7 +54,11 @@ class _Candidates:
 
 
 def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel") -> PoseEstimate:
-    """Estimate a target's pose from its returns; see `estimate_pose`."""
+    """Estimate a target's pose from its returns; see `estimate_pose`.
+
+    Raises:
+        EstimationError: the returns determine no pose at all.
+    """
     scan, angular_noise = level_rings(scan)
     edges = extract_edge_points(scan, angular_noise)
     plane = fit_plane(scan.points, scan.ring)
