@@ -67,8 +67,11 @@ class EdgePoints:
     @classmethod
     def none(cls) -> EdgePoints:
         """Return no edge points: of a cloud without rings."""
-        numbers, counts = np.zeros(0), np.zeros(0, dtype=np.int64)
-        return cls(np.zeros((0, 3)), counts, counts, numbers, counts, counts, numbers, numbers, numbers, 0.0, 0.0)
+        counts, angles = np.zeros(0, dtype=np.int64), np.zeros(0)
+        return cls(
+            points=np.zeros((0, 3)), ring=counts, side=counts, azimuth=angles, index=counts, revolutions=counts,
+            lower=angles, upper=angles, scatter=angles, shift=angles, reference_azimuth=0.0, azimuth_step=0.0,
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.points)
@@ -128,7 +131,12 @@ def relative_azimuth(points: Floats) -> tuple[Floats, float]:
 
 
 def azimuth_spacing(azimuth: Floats, ring: Ints) -> float | None:
-    """Median azimuth between neighbouring returns of a ring, rad; None where no ring has two returns."""
+    """Median azimuth between neighbouring returns of a ring, rad; None where no ring has two returns.
+
+    Args:
+        azimuth: (N,) of each return, rad.
+        ring: (N,) of each return.
+    """
     order = np.lexsort((azimuth, ring))
     gaps = np.diff(azimuth[order])[np.diff(ring[order]) == 0]
     gaps = gaps[gaps > 1e-6]

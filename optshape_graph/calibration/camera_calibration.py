@@ -151,7 +151,7 @@ class CameraCalibration:
 
 
 def middle(scans: Sequence[Sighting]) -> Floats:
-    """Return the mean centre (3,) of the targets in scans of one LiDAR."""
+    """Return the mean centre (3,), metres, of the targets in scans of one LiDAR."""
     return np.asarray(np.mean([scan.T_sensor_target[:3, 3] for scan in scans], axis=0))
 
 

@@ -133,7 +133,7 @@ class CompiledCamera:
         return gtsam.Cal3_S2(self.vector[:5]) if self.ideal else gtsam.Cal3DS2(self.vector)
 
     def refined(self, vector: Floats) -> CameraIntrinsics:
-        """Return the intrinsics with other values of `vector`."""
+        """Return the intrinsics with other values of `vector`, (9,): pixels, then coefficients without unit."""
         fx, fy, _, cx, cy, *D = vector
         return replace(self.intrinsics, K=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), D=np.array(D))
 

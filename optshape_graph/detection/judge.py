@@ -34,7 +34,7 @@ def edge_margin(sweep: Sweep, estimate: PoseEstimate) -> float:
 
 
 def returns_of(sweep: Sweep, estimate: PoseEstimate, margin: float) -> Ints:
-    """Rows of the sweep that are returns of a target: in its plane, and inside its outline or `margin` outside."""
+    """(N,) rows of the sweep that are a target's returns: in its plane, inside its outline or `margin` outside."""
     rows, yz, behind = _rays_near(sweep, estimate, estimate.target.circumradius + margin)
     on = np.abs(behind) <= _band(sweep, estimate)
     return np.asarray(rows[on & estimate.target.contains(yz, margin)])
@@ -62,8 +62,8 @@ def judge(sweep: Sweep, connected: Ints, own: Ints, estimate: PoseEstimate, marg
 
     Args:
         sweep: the scan.
-        connected: rows of the sweep, the connected returns in the target's plane.
-        own: rows of the sweep, the target's returns.
+        connected: (N,) rows of the sweep, the connected returns in the target's plane.
+        own: (M,) rows of the sweep, the target's returns.
         estimate: the pose.
         margin: metres about the outline within which a ray may be on either side.
     """

@@ -62,7 +62,7 @@ class Map:
 
     Attributes:
         landmarks: in the order of their blocks in `joint_covariance`.
-        joint_covariance: (6 m, 6 m) of all landmarks; None: they are independent, as if surveyed one by one.
+        joint_covariance: (6 m, 6 m) matrix of all landmarks; None: they are independent, as if surveyed one by one.
         trajectories: T_world_lidar over time, by the name of the session.
 
     Raises:
@@ -109,7 +109,11 @@ def save_map(path: str | Path, result: Map) -> None:
 
 
 def map_document(result: Map) -> dict[str, Any]:
-    """Return a map as plain data of the schema."""
+    """Return a map as plain data of the schema.
+
+    Raises:
+        InputError: a trajectory without stamps.
+    """
     joint = {} if result.joint_covariance is None else {"joint_covariance": result.joint_covariance}
     return {
         "schema": SCHEMA,

@@ -56,7 +56,11 @@ class _Candidates:
 
 
 def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel") -> PoseEstimate:
-    """Estimate a target's pose from its returns; see `estimate_pose`."""
+    """Estimate a target's pose from its returns; see `estimate_pose`.
+
+    Raises:
+        EstimationError: the returns determine no pose at all.
+    """
     scan, angular_noise = level_rings(scan)
     edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
     plane = fit_plane(scan.points, scan.ring)
