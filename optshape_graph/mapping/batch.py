@@ -6,6 +6,7 @@ there would contribute, without making it. Odometry and priors are GTSAM's. The 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -74,7 +75,8 @@ class BatchSolution:
         error: half the chi-square, exact, robust loss applied.
         converged: whether a further step would gain nothing.
         iterations: steps taken.
-        residuals: one for each match, in the order of tracks and matches.
+        chi2: (K,) of each match, in the order of tracks and matches: see `Residual`.
+        weight: (K,) that the robust loss gives it.
         linearise: makes the graph, linearised at the solution.
         keys: of the poses of each track, and of the landmarks.
         templates: of the landmarks, their vertices as built where those were refined.
@@ -85,7 +87,8 @@ class BatchSolution:
     error: float
     converged: bool
     iterations: int
-    residuals: tuple[Residual, ...]
+    chi2: Floats
+    weight: Floats
     linearise: Callable[[], gtsam.GaussianFactorGraph]
     keys: Keys
     templates: Mapping[str, Target]
@@ -95,6 +98,15 @@ class BatchSolution:
         k = [t.name for t in self.problem.tracks].index(track)
         poses = np.array([self.values.atPose3(key).matrix() for key in self.keys.poses[k]])
         return Trajectory(poses.reshape(-1, 4, 4), self.problem.tracks[k].stamps, track)
+
+    @cached_property
+    def residuals(self) -> tuple[Residual, ...]:
+        """How well each match fits, in the order of tracks and matches."""
+        named = [(track.name, match) for track in self.problem.tracks for match in track.matches]
+        return tuple(
+            Residual(track, match.pose, match.landmark, float(x), float(w))
+            for (track, match), x, w in zip(named, self.chi2, self.weight, strict=True)
+        )
 
     @property
     def landmarks(self) -> dict[str, Floats]:
@@ -123,9 +135,7 @@ class BatchSolution:
         """Return the map."""
         names = list(self.keys.landmarks)
         joint = self.covariance(names) if names else None
-        seen = dict.fromkeys(names, 0)
-        for residual in self.residuals:
-            seen[residual.landmark] += 1
+        seen = Counter(match.landmark for track in self.problem.tracks for match in track.matches)
         known = {} if self.problem.known is None else {m.id: m.observations for m in self.problem.known.landmarks}
         landmarks = []
         for k, (name, T) in enumerate(self.landmarks.items()):
@@ -165,13 +175,14 @@ class _Batch:
         offset = np.cumsum([0] + [len(track.stamps) for track in problem.tracks])
         poses = tuple(tuple(X(int(k)) for k in range(a, b)) for a, b in pairwise(offset))
         names = list(problem.T_world_target)
+        number = {name: k for k, name in enumerate(names)}
         self.keys = Keys(
             poses,
             {name: L(k) for k, name in enumerate(names)},
-            {name: V(names.index(name)) for name in self.shapes.targets},
+            {name: V(number[name]) for name in self.shapes.targets},
         )
         self.pose = np.array([offset[t] + m.pose for t, track in enumerate(problem.tracks) for m in track.matches], int)
-        self.landmark = np.array([names.index(match.landmark) for match in matches], int)
+        self.landmark = np.array([number[match.landmark] for match in matches], int)
         measurements = [match.measurement for match in matches]
         self.L = np.array([m.L for m in measurements]).reshape(-1, 12, 12)
         self.b = np.array([m.b for m in measurements]).reshape(-1, 12)
@@ -203,7 +214,8 @@ class _Batch:
             error=error,
             converged=converged,
             iterations=iterations,
-            residuals=self._residuals(),
+            chi2=np.square(self.model.d).sum(axis=1),
+            weight=self.model.weight,
             linearise=partial(self._linearise, values),
             keys=self.keys,
             templates=self.shapes.refined(self.problem, values, self.keys.shapes),
@@ -293,15 +305,6 @@ class _Batch:
             linear.push_back(gtsam.JacobianFactor(k_target[k], by_target[k], k_lidar[k], R[k], b[k], unit))
         self.shapes.linearise(linear, values, self.keys)
         return linear
-
-    def _residuals(self) -> tuple[Residual, ...]:
-        """How well each match fits at the values whose cost was asked for last."""
-        chi2, weight = np.square(self.model.d).sum(axis=1), self.model.weight
-        named = [(track.name, match) for track in self.problem.tracks for match in track.matches]
-        return tuple(
-            Residual(track, match.pose, match.landmark, float(x), float(w))
-            for (track, match), x, w in zip(named, chi2, weight, strict=True)
-        )
 
 
 @dataclass(frozen=True, eq=False)
