@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import L, V, X
+from gtsam.symbol_shorthand import B, L, V, X
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
@@ -20,6 +20,7 @@ from optshape_graph.factors import SummaryFactor
 from optshape_graph.factors._noise import gaussian
 from optshape_graph.factors.se3 import adjoint, inverse, vec, vec_derivative
 from optshape_graph.mapping.batch_solution import BatchSolution, Residual, pose_graph
+from optshape_graph.mapping.biases import Biases
 from optshape_graph.mapping.landmark_graph import LOSS
 from optshape_graph.mapping.priors import joint_prior, sqrt_information
 from optshape_graph.mapping.shapes import Shapes
@@ -44,7 +45,9 @@ MOST_HALVINGS = 12
 """How often a step that raises the cost is halved before it is given up."""
 
 
-def solve_batch(problem: MappingProblem, *, robust: bool = True, as_built_sigma: float | None = None) -> BatchSolution:
+def solve_batch(
+    problem: MappingProblem, *, robust: bool = True, as_built_sigma: float | None = None, ring_biases: bool = True
+) -> BatchSolution:
     """Solve for all poses and landmarks.
 
     Args:
@@ -52,6 +55,8 @@ def solve_batch(problem: MappingProblem, *, robust: bool = True, as_built_sigma:
         robust: Huber's loss on every match, as in the incremental solver; otherwise least squares.
         as_built_sigma: standard deviation of the vertices about the template, metres: refines the vertices of each
             landmark whose sightings have their `shape`; None: templates are exact.
+        ring_biases: whether the biases that a LiDAR's rings keep are solved for, by sightings that have them
+            (`Sighting.biased`); otherwise each match takes them for its own.
 
     Raises:
         InputError: nothing to solve for.
@@ -59,17 +64,20 @@ def solve_batch(problem: MappingProblem, *, robust: bool = True, as_built_sigma:
     """
     if not problem.tracks or not sum(len(track.stamps) for track in problem.tracks):
         raise InputError("a map without a pose: nothing to solve for")
-    return _Batch(problem, robust, as_built_sigma).solve()
+    return _Batch(problem, robust, as_built_sigma, ring_biases).solve()
 
 
 class _Batch:
     """A problem as arrays: the exact cost and its Gauss-Newton model anywhere."""
 
-    def __init__(self, problem: MappingProblem, robust: bool, as_built_sigma: float | None) -> None:
+    def __init__(
+        self, problem: MappingProblem, robust: bool = True, sigma: float | None = None, ring_biases: bool = False
+    ) -> None:
         self.problem = problem
         self.loss = LOSS if robust else np.inf
         matches = [match for track in problem.tracks for match in track.matches]
-        self.shapes = Shapes.of(problem, as_built_sigma)
+        self.shapes = Shapes.of(problem, sigma)
+        self.biases = Biases.of(problem, ring_biases, self.shapes.replaced)
         offset = np.cumsum([0] + [len(track.stamps) for track in problem.tracks])
         poses = tuple(tuple(X(int(k)) for k in range(a, b)) for a, b in pairwise(offset))
         names = list(problem.T_world_target)
@@ -78,13 +86,14 @@ class _Batch:
             poses,
             {name: L(k) for k, name in enumerate(names)},
             {name: V(number[name]) for name in self.shapes.targets},
+            {t: B(t) for t, found in enumerate(self.biases.names) if found},
         )
         self.pose = np.array([offset[t] + m.pose for t, track in enumerate(problem.tracks) for m in track.matches], int)
         self.landmark = np.array([number[match.landmark] for match in matches], int)
         measurements = [match.measurement for match in matches]
         self.L = np.array([m.L for m in measurements]).reshape(-1, 12, 12)
         self.b = np.array([m.b for m in measurements]).reshape(-1, 12)
-        self.constant = np.array([m.c**2 for m in measurements])
+        self.constant = np.where(self.biases.replaced, 0.0, [m.c**2 for m in measurements])
         self.others = self._others()
 
     def solve(self) -> BatchSolution:
@@ -106,14 +115,15 @@ class _Batch:
                 break
             values, error = moved, lower
             iterations += 1
+        chi2, weight = self._chi2_and_weight()
         return BatchSolution(
             problem=self.problem,
             values=values,
             error=error,
             converged=converged,
             iterations=iterations,
-            chi2=np.square(self.model.d).sum(axis=1),
-            weight=self.model.weight,
+            chi2=chi2,
+            weight=weight,
             linearise=partial(self._linearise, values),
             keys=self.keys,
             templates=self.shapes.refined(self.problem, values, self.keys.shapes),
@@ -137,6 +147,7 @@ class _Batch:
         for name, T in self.problem.T_world_target.items():
             values.insert(self.keys.landmarks[name], gtsam.Pose3(T))
         self.shapes.insert(values, self.keys.shapes)
+        self.biases.insert(values, self.keys.biases)
         return values
 
     def _others(self) -> gtsam.NonlinearFactorGraph:
@@ -174,33 +185,47 @@ class _Batch:
         information += RIDGE * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(6)
         R = np.linalg.cholesky(information)
         d = np.linalg.solve(R, Jt @ r[..., None])[..., 0]
-        chi2 = np.square(d).sum(axis=1)
-        weight = np.minimum(1.0, self.loss / np.sqrt(np.maximum(chi2, 1e-12)))
-        return _Model(H, np.swapaxes(R, 1, 2), d, np.square(r).sum(axis=1) - chi2, weight)
+        return _Model(H, np.swapaxes(R, 1, 2), d, np.square(r).sum(axis=1) - np.square(d).sum(axis=1))
 
     def _cost(self, values: gtsam.Values) -> float:
-        """Half the chi-square, exact. The model made on the way is kept, for `_linearise` at the same values."""
+        """Half the chi-square, exact. The models made on the way are kept, for `_linearise` at the same values."""
         self.model = self._model(self._relative(values))
-        chi2, weight = np.square(self.model.d).sum(axis=1), self.model.weight
+        among = self.biases.matches
+        if len(among):
+            self.biased = self.biases.at(self.model.H[among], values, self.keys.biases)
+            self.model.R[among], self.model.d[among], self.model.floor[among] = self.biased.R, self.biased.d, 0.0
+        chi2, weight = self._chi2_and_weight()
         # Huber: quadratic up to the loss, then a line; what no pose takes away counts in full.
         line = weight < 1.0
         huber = chi2.copy()
         huber[line] = 2 * self.loss * np.sqrt(chi2[line]) - self.loss**2
         cost = 0.5 * float((self.model.floor + self.constant + huber)[~self.shapes.replaced].sum())
+        cost += self.biased.error if len(among) else 0.0
         return cost + self.shapes.error(values, self.keys) + float(self.others.error(values))
+
+    def _chi2_and_weight(self) -> tuple[Floats, Floats]:
+        """(K,) chi-square that each match's own best pose would take away, and the weight that the loss gives it."""
+        chi2 = np.square(self.model.d).sum(axis=1)
+        return chi2, np.minimum(1.0, self.loss / np.sqrt(np.maximum(chi2, 1e-12)))
 
     def _linearise(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
         """Linearise at the values whose cost was asked for last."""
         model = self.model
-        root = np.sqrt(model.weight)
+        root = np.sqrt(self._chi2_and_weight()[1])
         R, b = model.R * root[:, None, None], -model.d * root[:, None]
         by_target = -R @ adjoint(inverse(model.H))
         linear = self.others.linearize(values)
         unit = gtsam.noiseModel.Unit.Create(6)
         k_lidar = np.array([key for keys in self.keys.poses for key in keys])[self.pose].tolist()
         k_target = np.array(list(self.keys.landmarks.values()))[self.landmark].tolist() if len(R) else []
-        for k in np.flatnonzero(~self.shapes.replaced).tolist():
+        for k in np.flatnonzero(~self.shapes.replaced & ~self.biases.replaced).tolist():
             linear.push_back(gtsam.JacobianFactor(k_target[k], by_target[k], k_lidar[k], R[k], b[k], unit))
+        for n, (k, t) in enumerate(zip(self.biases.matches.tolist(), self.biases.track.tolist(), strict=True)):
+            by_bias = self.biased.E[n, :, : len(self.biases.names[t])] * root[k]
+            linear.add(k_target[k], by_target[k], k_lidar[k], R[k], self.keys.biases[t], by_bias, b[k], unit)
+        for t, key in self.keys.biases.items():
+            rows, m = self.biased.alone[t], len(self.biases.names[t])
+            linear.add(key, rows[:, :m], -rows[:, -1], gtsam.noiseModel.Unit.Create(len(rows)))
         self.shapes.linearise(linear, values, self.keys)
         return linear
 
@@ -214,14 +239,12 @@ class _Model:
         R: (K, 6, 6) upper triangular.
         d: (K, 6).
         floor: (K,) what no pose takes away, to first order.
-        weight: (K,) that the robust loss gives.
     """
 
     H: Floats
     R: Floats
     d: Floats
     floor: Floats
-    weight: Floats
 
 
 def factor_graph(problem: MappingProblem) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
@@ -230,7 +253,7 @@ def factor_graph(problem: MappingProblem) -> tuple[gtsam.NonlinearFactorGraph, g
     Every match is a compiled Between factor, summarised at the initial values: make them again (`SummaryFactor`) when
     those have moved.
     """
-    batch = _Batch(problem, robust=True, as_built_sigma=None)
+    batch = _Batch(problem)
     graph, values = gtsam.NonlinearFactorGraph(batch.others), batch._initial()
     loss = gtsam.noiseModel.mEstimator.Huber.Create(LOSS)
     H = batch._relative(values)
