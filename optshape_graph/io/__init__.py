@@ -1,5 +1,6 @@
 """Files in, files out: clouds, targets, sensors, sessions, markers, cameras. Knows the nouns only."""
 
+from optshape_graph.io.builtin import demo_folder
 from optshape_graph.io.cameras import load_camera, save_camera
 from optshape_graph.io.clouds import make_scan, read_scan, write_scan
 from optshape_graph.io.columns import Columns
@@ -15,6 +16,7 @@ __all__ = [
     "Mocap",
     "Session",
     "View",
+    "demo_folder",
     "load_camera",
     "load_schema",
     "load_sensor",

@@ -61,7 +61,11 @@ class Node:
         return f"{self.path}{f':{line}' if line else ''}" + (f": {name}" if name else "")
 
     def fail(self, problem: str) -> NoReturn:
-        """Raise the error that this value has a problem."""
+        """Raise the error that this value has a problem.
+
+        Raises:
+            InputError: always.
+        """
         raise InputError(f"{self.where}: {problem}")
 
     def expected(self, what: str) -> NoReturn:
@@ -132,7 +136,7 @@ class Node:
         return float(value)
 
     def numbers(self, *shape: int) -> Floats:
-        """An array of finite numbers; -1 in `shape` stands for any length but zero.
+        """An array of finite numbers (...), as they stand; -1 in `shape` stands for any length but zero.
 
         Raises:
             InputError: another nesting, another length, or an element that is not a finite number.

@@ -60,7 +60,11 @@ class Folder:
         return Topic(name, kind, common, counted[kind]) if counted[kind] else None
 
     def read(self, topic: Topic, skipped: Skipped, sensor: SensorModel | None = None) -> Iterator[Stamped[Any]]:
-        """Yield what a topic holds in the order of its timestamps file: `Scan`, `Image` or a (4, 4) pose."""
+        """Yield what a topic holds in the order of its timestamps file: `Scan`, `Image` or a (4, 4) pose.
+
+        Raises:
+            InputError: the timestamps do not fit the files, or lead out of the folder.
+        """
         if topic.kind == "pose":
             trajectory = read_tum(self._inside(self.path / topic.name))
             assert trajectory.stamps is not None  # TUM has them
