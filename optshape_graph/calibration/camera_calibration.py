@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -27,11 +29,14 @@ from optshape_graph.calibration.consistency import (
     scatter,
     squared_distances,
 )
+from optshape_graph.calibration.free_shape import MeasuredShape, measure_shape
+from optshape_graph.calibration.lens import LensCheck, check_lenses
 from optshape_graph.calibration.next_placement import NextPlacement, suggest_placement
 from optshape_graph.calibration.sightings import TargetInScan, View
 from optshape_graph.calibration.uncertainty import Uncertainty
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.target import Target
 
 FOLDS = 5
 FEW_VIEWS = 5
@@ -71,6 +76,8 @@ class CameraCalibration:
         views: what became of them, in the order given.
         cross_validations: leave-one-out, and k-fold.
         discrepancy: what the scans scatter beyond their noise model; the covariances allow for it.
+        lenses: what the images say of the lenses, where they are many enough to say something.
+        refined: names of the cameras whose lens was refined: the extrinsics belong to the rig's intrinsics.
         warnings: what to know before trusting the result.
         sightings: how every sighting was read.
     """
@@ -82,6 +89,8 @@ class CameraCalibration:
     views: tuple[ViewResult, ...]
     cross_validations: tuple[CrossValidation, ...]
     discrepancy: Discrepancy
+    lenses: tuple[LensCheck, ...]
+    refined: frozenset[str]
     warnings: tuple[str, ...]
     sightings: tuple[Sighting, ...]
 
@@ -121,13 +130,28 @@ class CameraCalibration:
         target = self.views[pairs[0][0].views[0]].view.target
         return suggest_placement(target, pairs, self.rig.cameras[camera], T, covariance)
 
+    @cached_property
+    def shapes(self) -> dict[tuple[str, str], MeasuredShape]:
+        """Each target's shape by each LiDAR's scans of the used views, vertices free, by the names of both."""
+        used: dict[tuple[str, str], dict[int, TargetInScan]] = {}
+        targets: dict[str, Target] = {}
+        for result in self.views:
+            if result.used and (scan := result.view.scan) is not None:
+                used.setdefault((scan.lidar, result.view.target.name), {})[id(scan)] = scan
+                targets[result.view.target.name] = result.view.target
+        found = {}
+        for (lidar, name), scans in used.items():
+            with suppress(EstimationError):  # angles with noise: no shape to be told
+                found[lidar, name] = measure_shape([scan.own for scan in scans.values()], targets[name])
+        return found
+
     def _middle(self, lidar: str) -> Floats:
         used = [s for s in self.sightings if any(self.views[view].used for view in s.views)]
         return middle([s for s in used if s.sensor == lidar])
 
 
 def middle(scans: Sequence[Sighting]) -> Floats:
-    """Return the mean centre (3,) of the targets in scans of one LiDAR."""
+    """Return the mean centre (3,), metres, of the targets in scans of one LiDAR."""
     return np.asarray(np.mean([scan.T_sensor_target[:3, 3] for scan in scans], axis=0))
 
 
@@ -149,7 +173,11 @@ def calibrate(
     start = find_start(views)
     lidars = tuple(dict.fromkeys(s.sensor for s in start.sightings if isinstance(s.seen, TargetInScan)))
     base = next(iter(start.rig.T_base_sensor))
-    graph = CalibrationGraph(start.sightings, base, unknowns or Unknowns())
+    unknowns = unknowns or Unknowns()
+    lenses = check_lenses(views)
+    wrong = {lens.camera for lens in lenses if lens.contradicted}
+    refined = {None: wrong, True: set(start.rig.cameras), False: set[str]()}[unknowns.intrinsics]
+    graph = CalibrationGraph(start.sightings, base, unknowns.range_bias_sigma, refined)
     rig, used, squared, discrepancy = _solve_robustly(graph, start)
     taking_part = {s.sensor for s in start.sightings if used & set(s.views)}
     if missing := sorted(set(start.rig.T_base_sensor) - taking_part):
@@ -176,7 +204,12 @@ def calibrate(
         views=tuple(ViewResult(v, k in used, reason(k, v), errors.get(k)) for k, v in enumerate(views)),
         cross_validations=(left_out, k_fold),
         discrepancy=discrepancy,
-        warnings=_warnings(views, used, start),
+        lenses=lenses,
+        refined=frozenset(refined),
+        warnings=(
+            *_warnings(views, used, start),
+            *(_of_lens(lens, lens.camera in refined) for lens in lenses if lens.contradicted),
+        ),
         sightings=start.sightings,
     )
 
@@ -263,3 +296,13 @@ def _warnings(views: Sequence[View], used: set[int], start: Start) -> tuple[str,
                 f"normal rest on the target's edges alone; add views with the target tilted otherwise"
             )
     return tuple(found)
+
+
+def _of_lens(lens: LensCheck, refined: bool) -> str:
+    found = (
+        f"'{lens.camera}': its {lens.images} images contradict the given intrinsics: with another lens the errors of "
+        f"the corners fall from {lens.rms_px:.2f} to {lens.refined_rms_px:.2f} px"
+    )
+    if refined:
+        return f"{found}; the lens was refined, and the extrinsic belongs to the refined intrinsics ('cameras')"
+    return f"{found}; calibrate the camera again, or let its lens be refined"

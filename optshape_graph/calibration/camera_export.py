@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera_calibration import CameraCalibration, ViewResult
+from optshape_graph.calibration.free_shape import MeasuredShape
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.factors.se3 import inverse, inverse_covariance
 
@@ -37,7 +38,11 @@ def as_document(calibration: CameraCalibration) -> dict[str, Any]:
     document["views"] = [_view(result) for result in calibration.views]
     for key, validation in zip(("cross_validation", "k_fold"), calibration.cross_validations, strict=True):
         document[key] = {"protocol": validation.protocol, "views": len(validation.views), **validation.means()}
-    document["cameras"] = [_camera(calibration.rig.cameras[name]) for name in calibration.cameras]
+    document["cameras"] = [
+        {**_camera(calibration.rig.cameras[name]), "refined": name in calibration.refined}
+        for name in calibration.cameras
+    ]
+    document["targets"] = [_shape(lidar, shape) for (lidar, _), shape in calibration.shapes.items()]
     document["warnings"] = list(calibration.warnings)
     return document
 
@@ -126,6 +131,21 @@ def _lidar_pair(calibration: CameraCalibration, lidar: str) -> dict[str, Any]:
 def _range_bias(calibration: CameraCalibration, lidar: str) -> dict[str, float]:
     value, sigma = calibration.range_bias(lidar)
     return {"range_bias_m": value, "range_bias_sigma_m": sigma}
+
+
+def _shape(lidar: str, shape: MeasuredShape) -> dict[str, Any]:
+    return {
+        "target": shape.target.name,
+        "lidar": lidar,
+        "sides_m": shape.target.edge_lengths.tolist(),
+        "measured_sides_m": shape.joint.sides.tolist(),
+        "sigma_m": np.sqrt(np.diag(shape.joint.sides_covariance)).tolist(),
+        "measured_vertices": shape.joint.polygon.tolist(),
+        "agrees": shape.agrees,
+        "beam_crossing": shape.beam_crossing,
+        "mean_absolute_error_m": shape.mean_absolute_error,
+        "scans": [{"scan": scan.name, "measured_sides_m": scan.sides.tolist()} for scan in shape.scans],
+    }
 
 
 def _view(result: ViewResult) -> dict[str, Any]:

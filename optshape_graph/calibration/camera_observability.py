@@ -41,7 +41,7 @@ def principal_directions(covariance: Floats, centre: Floats) -> list[Direction]:
 
     Args:
         covariance: (6, 6) of the right perturbation (LiDAR frame), rotation first.
-        centre: (3,) middle of the targets, LiDAR frame.
+        centre: (3,) middle of the targets, metres, LiDAR frame.
     """
     distance = float(np.linalg.norm(centre))
     to_middle = np.eye(4)
@@ -72,6 +72,10 @@ def _axis(axis: Floats) -> str:
 
 def check_observable(uncertainty: Uncertainty, centre: Floats) -> None:
     """Raise unless the graph determines every sensor's pose.
+
+    Args:
+        uncertainty: of the graph at its minimum.
+        centre: (3,) middle of the targets, metres, LiDAR frame.
 
     Raises:
         UnobservableError: names the directions that it leaves open.

@@ -116,7 +116,7 @@ def target_in_scan(
         measurement=estimate.measurement,
         shared=shared,
         shared_effect=shared_effect,
-        returns=returns.points,
+        own=returns,
         all_returns=(scan or returns).points,
     )
 

@@ -13,6 +13,7 @@ from optshape_graph.calibration.images.planar_pose import PlanarPose
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.factors import TemplateMeasurement
 from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
 
@@ -28,7 +29,7 @@ class TargetInScan:
         measurement: the exact cost of the returns.
         shared: names of the errors that all scans of the LiDAR have in common: the range biases of its rings.
         shared_effect: (6, k) how the pose moves, as a right perturbation, by a standard deviation of each.
-        returns: (N, 3) the returns on the target, metres, LiDAR frame.
+        own: the returns on the target.
         all_returns: (M, 3) every return of the scan, for overlays.
     """
 
@@ -39,12 +40,17 @@ class TargetInScan:
     measurement: TemplateMeasurement
     shared: tuple[str, ...]
     shared_effect: Floats
-    returns: Floats
+    own: Scan
     all_returns: Floats
 
     def __post_init__(self) -> None:
-        for field in ("T_lidar_target", "covariance", "shared_effect", "returns", "all_returns"):
+        for field in ("T_lidar_target", "covariance", "shared_effect", "all_returns"):
             object.__setattr__(self, field, frozen(getattr(self, field)))
+
+    @property
+    def returns(self) -> Floats:
+        """(N, 3) the returns on the target, metres, LiDAR frame."""
+        return self.own.points
 
     @cached_property
     def ray(self) -> Floats:

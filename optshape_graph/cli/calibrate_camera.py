@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 @click.option("--camchain", type=click.Path(path_type=Path), help="Write a Kalibr-style camchain to this file.")
 @click.option("--use-target-points", is_flag=True, help="Take the targets' returns from the views' manual crops.")
 @click.option(
-    "--refine-intrinsics", is_flag=True, help="Refine the cameras' intrinsics too, the given ones being a prior."
+    "--refine-intrinsics/--keep-intrinsics",
+    default=None,
+    help="Refine the cameras' focal lengths and distortion, the given ones being a prior, or never do. Without "
+    "either: where the images contradict them.",
 )
 @click.option(
     "--range-bias-sigma",
@@ -35,7 +38,7 @@ def command(
     plots: Path | None,
     camchain: Path | None,
     use_target_points: bool,
-    refine_intrinsics: bool,
+    refine_intrinsics: bool | None,
     range_bias_sigma: float,
 ) -> int:
     """Calibrate T_camera_lidar from scans and images of targets; no initial guess is needed.
@@ -72,6 +75,8 @@ def command(
 
 
 def _print(calibration: CameraCalibration) -> None:
+    import numpy as np
+
     from optshape_graph.calibration.camera_export import static_transforms
     from optshape_graph.cli.console import print_table
     from optshape_graph.factors import inverse_covariance
@@ -120,6 +125,16 @@ def _print(calibration: CameraCalibration) -> None:
                     f"tilted {place.pitch_deg:+.0f} deg from facing the LiDAR, would make the worst direction "
                     f"{1e3 * place.expected_sigma_m:.1f} mm instead of {1e3 * place.sigma_m:.1f}"
                 )
+    for (lidar, name), shape in calibration.shapes.items():
+        numbers = [" ".join(f"{1e3 * side:.0f}" for side in sides) for sides in (
+            shape.joint.sides, np.sqrt(np.diag(shape.joint.sides_covariance)), shape.target.edge_lengths,
+        )]  # fmt: skip
+        verdict = "agrees with" if shape.agrees else "CONTRADICTS"
+        click.echo(
+            f"sides of {name} by {lidar}, vertices free: {numbers[0]} mm, sd {numbers[1]} (mostly common: the beam's "
+            f"width); by its file: {numbers[2]}; single scans are off by {1e3 * shape.mean_absolute_error:.1f} mm on "
+            f"average; that {verdict} the file"
+        )
     for warning in calibration.warnings:
         click.echo(f"optshape: warning: {warning}", err=True)
 

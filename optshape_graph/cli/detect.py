@@ -26,7 +26,8 @@ def command(
     """Find targets in each SCAN (PCD, PLY, NPZ or CSV), a full revolution, and tell them apart by shape.
 
     `return_indices` in the JSON count the cloud's returns from 0, in its order, without points that are no returns
-    (not finite, or at the origin). What was looked at and is no target is listed with the reason.
+    (not finite, or at the origin); `doubtful_indices` are further returns that the pose rests on, at the target's rim
+    or with much noise. What was looked at and is no target is listed with the reason.
 
     Exit status 3: some scans could not be used, or a target's shape or pose is ambiguous; the results of the others
     are written.
@@ -94,12 +95,14 @@ def _target(detection: Detection) -> dict[str, Any]:
         "T_lidar_target": estimate.T_lidar_target,
         "covariance": estimate.covariance,
         "equivalent_poses": estimate.equivalent_poses,
-        "return_indices": detection.indices,
+        "return_indices": detection.indices[~detection.doubtful],
+        "doubtful_indices": detection.indices[detection.doubtful],
         "score": detection.score,
         "status": detection.status,
         "reason": detection.reason,
         "rival": detection.rival.name if detection.rival else None,
         "margin": detection.margin if detection.rival else None,
+        "probabilities": dict(detection.probabilities),
         "evidence": vars(detection.evidence),
     }
 

@@ -119,7 +119,8 @@ def _claim(folder: Path, describe: Mapping[str, Any]) -> None:
             raise InputError(f"{folder}: holds finished tasks, but no sweep.json that says of what")
         write_json(manifest, document)
         return
-    found = read_json(manifest).value.get("digest")
+    found = read_json(manifest).value
+    found = found.get("digest") if isinstance(found, dict) else None
     if found != document["digest"]:
         raise InputError(
             f"{manifest}: the folder holds another sweep (digest {found}, this one {document['digest']}); "

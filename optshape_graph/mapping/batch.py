@@ -21,7 +21,7 @@ from optshape_graph.factors import SummaryFactor, summarise
 from optshape_graph.factors._noise import gaussian
 from optshape_graph.factors.se3 import adjoint, inverse, vec, vec_derivative
 from optshape_graph.io.trajectories import PoseGraph, PoseGraphEdge, Trajectory
-from optshape_graph.mapping.incremental import LOSS
+from optshape_graph.mapping.landmark_graph import LOSS
 from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.priors import joint_prior, sqrt_information
 from optshape_graph.mapping.shapes import Shapes
@@ -237,7 +237,7 @@ class _Batch:
                 noise = gaussian(sqrt_information(track.start.covariance))
                 graph.push_back(gtsam.PriorFactorPose3(keys[0], gtsam.Pose3(track.start.T_world_lidar), noise))
             for odometry in track.odometry:
-                noise = gaussian(sqrt_information(odometry.covariance))
+                noise = gaussian(odometry.sqrt_information)
                 T = gtsam.Pose3(odometry.T_i_j)
                 graph.push_back(gtsam.BetweenFactorPose3(keys[odometry.i], keys[odometry.j], T, noise))
         known = self.problem.known

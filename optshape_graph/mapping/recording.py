@@ -32,6 +32,11 @@ from optshape_graph.target import Target
 SLOW = np.array([0.01] * 3 + [0.02] * 3)
 """Twist, rad/s and m/s, below which a scan counts as taken at rest: a millimetre in half a revolution."""
 
+OFF_ITS_RING = 0.25
+"""Share of the gap between rings by which deskewing may lift returns off their elevation: with less the estimate is the
+same to a fraction of its standard deviation (0.15, root mean square); with more it takes one at the target's own time,
+in whose frame rings are where they were fired."""
+
 AHEAD = 2
 """Scans that each worker has waiting: more would only take memory."""
 
@@ -82,6 +87,10 @@ class MotionNoise:
 class OdometryTrack:
     """Poses over time, asked for in order of time, and forgotten when they have passed.
 
+    Args:
+        poses: T_odometry_body (4, 4) in order of time.
+        T_body_lidar: (4, 4) of the LiDAR on the body; None: they are one.
+
     Attributes:
         T_body_lidar: (4, 4) of the LiDAR on the body that the poses are of.
     """
@@ -131,7 +140,15 @@ class Keyframe(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """What was seen at a keyframe."""
+    """What was seen at a keyframe.
+
+    Attributes:
+        stamp: seconds.
+        T_odometry_lidar: (4, 4) at the stamp; None: no odometry.
+        distance: gone since the keyframe before, metres.
+        sightings: of targets.
+        failure: why the scan could not be used, else empty.
+    """
 
     stamp: float
     T_odometry_lidar: Floats | None
@@ -197,7 +214,8 @@ def keyframes(
 def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: bool) -> Observed:
     """Find the targets in a keyframe's scan, moved to the scan's stamp.
 
-    A scan with times is deskewed about each target's own time: whatever the LiDAR did in between is a known motion.
+    A scan with times is deskewed: whatever the LiDAR did in between is a known motion. Outlines are straight then; but
+    where the motion lifts returns off their rings, poses are estimated at each target's own time.
 
     Args:
         keyframe: the scan and its motion.
@@ -205,10 +223,11 @@ def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: 
         named: whether there is one of each template, so that the template is the landmark's name.
         shapes: whether to keep what refines the vertices.
     """
-    scan, moving = keyframe.scan, keyframe.scan.time is not None and bool((np.abs(keyframe.twist) > SLOW).any())
+    scan, twist = keyframe.scan, keyframe.twist
+    moving = scan.time is not None and bool((np.abs(twist) > SLOW).any())
+    straight = deskew(scan, twist) if moving else scan
     try:
-        # Outlines are straight in a scan that is brought to its stamp; poses are estimated at each target's own time.
-        found = detect_targets(deskew(scan, keyframe.twist) if moving else scan, targets).found
+        found = detect_targets(straight, targets).found
     except (EstimationError, InputError) as error:
         return Observed(keyframe.stamp, keyframe.T_odometry_lidar, keyframe.distance, (), _reason(error))
     sightings = []
@@ -216,13 +235,25 @@ def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: 
         name = detection.target.name if named else None
         if detection.rival is not None and detection.status == "ambiguous":
             continue  # which target it is, is not known
-        returns = scan.select(detection.indices)
-        seen = _moving_sighting(returns, detection.target, keyframe.twist, name, shapes) if moving else None
-        if not moving and detection.estimate.status != "failed":
+        fired, returns = scan.select(detection.indices), straight.select(detection.indices)
+        if moving and _lifted(fired, returns) > OFF_ITS_RING:
+            seen = _moving_sighting(fired, detection.target, twist, name, shapes)
+        elif detection.estimate.status != "failed":
             seen = _sighting(detection.estimate, returns, name, shapes)
+        else:
+            seen = None
         if seen is not None:
             sightings.append(seen)
     return Observed(keyframe.stamp, keyframe.T_odometry_lidar, keyframe.distance, tuple(sightings), "")
+
+
+def _lifted(fired: Scan, straight: Scan) -> float:
+    """Largest change of a return's elevation by deskewing, in the least gap between the rings on the target."""
+    before, after = (np.arctan2(p[:, 2], np.hypot(p[:, 0], p[:, 1])) for p in (fired.points, straight.points))
+    assert fired.ring is not None  # targets are found ring by ring
+    _, ring = np.unique(fired.ring, return_inverse=True)
+    of_ring = np.bincount(ring, before) / np.bincount(ring)
+    return float(np.abs(after - before).max() / np.diff(of_ring).min())  # four rings at least: it was detected
 
 
 def _sighting(estimate: PoseEstimate, returns: Scan, name: str | None, shapes: bool) -> Sighting:
@@ -320,6 +351,9 @@ def session_scans(session: Session, skipped: Skipped) -> Iterator[Stamped[Scan]]
     """Yield a session's scans by their stamps; without stamps, a second apart in the file's order.
 
     A file that cannot be read is skipped and counted.
+
+    Raises:
+        InputError: stamps of some views only, or several LiDARs.
     """
     stamped = [view for view in session.views if view.stamp is not None]
     if stamped and len(stamped) < len(session.views):

@@ -23,7 +23,8 @@ from optshape_graph.pose.estimate import (
     unobservable_directions,
 )
 from optshape_graph.pose.evidence import alternative_labels, exit_probability, missed_rings, vertices_in_lidar
-from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, returns_on_plane
+from optshape_graph.pose.firing import place_on_firings
+from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
 from optshape_graph.pose.propagation import (
     EdgeGeometry,
     Posterior,
@@ -32,6 +33,7 @@ from optshape_graph.pose.propagation import (
     edge_geometry,
     own_variance,
     propagate,
+    ring_shifts,
 )
 from optshape_graph.pose.sdp import Backend, certify
 from optshape_graph.scan import Scan
@@ -54,12 +56,16 @@ class _Candidates:
 
 
 def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel") -> PoseEstimate:
-    """Estimate a target's pose from its returns; see `estimate_pose`."""
+    """Estimate a target's pose from its returns; see `estimate_pose`.
+
+    Raises:
+        EstimationError: the returns determine no pose at all.
+    """
     scan, angular_noise = level_rings(scan)
-    edges = extract_edge_points(scan, angular_noise)
+    edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
     plane = fit_plane(scan.points, scan.ring)
     returns = returns_on_plane(scan.points, scan.ring, plane.axes[0], plane.distance, scan.sensor, angular_noise)
-    on_plane = _plane_measurement(returns)
+    on_plane = plane_measurement(returns, [f"range bias of ring {k}" for k in returns.rings])
     # Where rings in between are lost, the next one may be lost too; with noisy azimuths a lone return of the outermost
     # ring may lie beside the target. Neither bounds anything.
     complete = edges.n_rings == edges.ring[-1] - edges.ring[0] + 1
@@ -135,22 +141,6 @@ def refine(measurement: TemplateMeasurement, iterations: int = 20) -> Floats:
     return np.asarray(T)
 
 
-def _plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
-    """Returns against the target's plane, before the bias of each ring, in standard deviations, is marginalised.
-
-    Where a residual and its row's coefficients err together, the gradient has a mean at the true pose, the sum of their
-    covariances; the constants take it out.
-    """
-    normals = np.broadcast_to([1.0, 0.0, 0.0], returns.points.shape)
-    A, r = template_rows(returns.points, normals, returns.offset)
-    A, r = A / returns.sigma[:, None], r / returns.sigma
-    mean, _ = template_rows(returns.coupling, normals, returns.offset)
-    mean[:, 9:] = 0.0
-    r = r - A @ np.linalg.lstsq(A.T @ A, (mean / returns.sigma[:, None] ** 2).sum(axis=0), rcond=1e-12)[0]
-    names = [f"range bias of ring {k}" for k in returns.rings]
-    return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4), shared=names)
-
-
 def _upright(T: Floats, target: Target) -> Floats:
     """Turn poses (C, 4, 4) by the target's symmetries so that its z axis is as nearly up as it gets."""
     if len(target.symmetries) == 1:
@@ -224,7 +214,9 @@ def _edge_measurement(problem: Problem, candidates: _Candidates, same: Bools) ->
         boundary = problem.edges.points + one.inset[0][:, None] * problem.edges.outward(one.T_target_lidar[0, 0, :3])
         A, r = template_rows(boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]])
         offset = geometry.across[0] * problem.noise.COMMON
-        rows.append(np.sqrt(weight[k]) * np.column_stack([offset, A, r]) / sigma[:, None])
+        whitened = np.column_stack([offset, A, r]) / sigma[:, None]
+        shifts = _without_shifts(ring_shifts(problem.edges) * (geometry.along[0] / sigma)[:, None])
+        rows.append(np.sqrt(weight[k]) * shifts @ whitened)
         total += float(weight[k] * (1 / sigma**2).sum())
     stack = np.vstack(rows)
     measurement = BiasedMeasurement.from_rows(
@@ -235,6 +227,13 @@ def _edge_measurement(problem: Problem, candidates: _Candidates, same: Bools) ->
         shared=["offset across edges"],
     )
     return replace(measurement, n_rows=len(problem.edges)), total
+
+
+def _without_shifts(B: Floats) -> Floats:
+    """(M, M) matrix that whitens rows which unit-variance errors, columns B (M, K) of disjoint rows, share."""
+    B = B[:, B.any(axis=0)]
+    square = (B**2).sum(axis=0)
+    return np.asarray(np.eye(len(B)) - (B * ((1 - 1 / np.sqrt(1 + square)) / square)) @ B.T)
 
 
 def _weights(candidates: _Candidates, same: Bools) -> Floats:
@@ -296,7 +295,8 @@ def _explained(problem: Problem, geometry: EdgeGeometry, offset: float) -> float
     along = geometry.along[0]
     boundary = geometry.residual[0] + offset * geometry.across[0] + along * problem.edges.middle
     half = np.abs(along) * 0.5 * problem.edges.width
-    return float(np.mean(np.abs(boundary) < half + 3 * np.sqrt(own_variance(problem, geometry)[0])))
+    scatter = np.sqrt(own_variance(problem, geometry)[0] + (problem.edges.shift * along) ** 2)
+    return float(np.mean(np.abs(boundary) < half + 3 * scatter))
 
 
 def _verdict(

@@ -80,7 +80,7 @@ def _boundary(problem: Problem, posterior: Posterior) -> Floats:
     """(C, M, 3) where the posterior puts the boundary that each edge point stands for, LiDAR frame, on the plane."""
     T, edges = posterior.T_target_lidar, problem.edges
     normal = T[:, 0, :3]
-    ray = edges.points + posterior.inset[..., None] * edges.sweep
+    ray = edges.points + (posterior.inset + posterior.shift)[..., None] * edges.sweep
     return np.asarray(ray * (-T[:, 0, 3, None] / np.einsum("ci,cmi->cm", normal, ray))[..., None])
 
 

@@ -14,12 +14,13 @@ from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera_calibration import CameraCalibration
 from optshape_graph.calibration.camera_evidence import without_bias
 from optshape_graph.calibration.consistency import of_view
-from optshape_graph.calibration.images.projection import opencv, project
+from optshape_graph.calibration.images.projection import project
 from optshape_graph.calibration.sightings import TargetInScan
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.files import read_bytes, write_atomically
+from optshape_graph.io.image_files import decode_image, opencv
 from optshape_graph.target import Target
 from optshape_graph.viz.style import BLUE, GREY, INK, VERMILLION, legend_below, new_figure, plain
 
@@ -89,14 +90,11 @@ def draw_overlay(calibration: CameraCalibration, number: int) -> np.ndarray:
     Raises:
         InputError: the view has no image, or it cannot be read.
     """
-    cv2 = opencv()
     view = calibration.views[number].view
     lidar_side, camera_side = of_view(number, calibration.sightings)
     if view.image is None or view.image.image.lower().endswith(".csv") or camera_side is None:
         raise InputError(f"view {view.name}: no image to draw on")
-    picture = cv2.imdecode(np.frombuffer(read_bytes(Path(view.image.image)), np.uint8), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise InputError(f"{view.image.image}: not an image that OpenCV can read")
+    picture = decode_image(read_bytes(view.image.image), view.image.image, channels=3)
     rig = calibration.rig
     camera = rig.cameras[camera_side.sensor]
     _outline(picture, camera, view.target, camera_side.T_sensor_target, CAMERA_COLOUR)
