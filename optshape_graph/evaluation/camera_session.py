@@ -8,13 +8,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.images.projection import opencv, project
+from optshape_graph.calibration.images.projection import project
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.evaluation.rendering import render_target
 from optshape_graph.io import save_camera, save_sensor, save_target, write_scan
 from optshape_graph.io.documents import write_json, write_yaml
 from optshape_graph.io.files import write_atomically
+from optshape_graph.io.image_files import opencv
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation import NoiseModel, room, simulate
 from optshape_graph.target import Target

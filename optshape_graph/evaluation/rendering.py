@@ -6,9 +6,10 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.images.projection import normalised, opencv, project
+from optshape_graph.calibration.images.projection import normalised, project
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
+from optshape_graph.io.image_files import opencv
 from optshape_graph.target import Target
 
 SAMPLES = 2
