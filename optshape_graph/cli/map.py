@@ -153,7 +153,8 @@ def _processes(expected: int | None) -> int:
     """Processes for a recording: starting them takes about as long as detecting targets in MANY scans."""
     import os
 
-    return len(os.sched_getaffinity(0)) if expected is None or expected >= MANY else 1
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores if expected is None or expected >= MANY else 1
 
 
 def _open(
