@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr
 
 from optshape_graph._arrays import Floats, Ints, frozen
 from optshape_graph.errors import EstimationError
@@ -38,8 +37,10 @@ class EdgePoints:
         index: (M,) row of the scan that each point is.
         revolutions: (M,) how many revolutions were merged in the point's ring.
         lower: (M,) angle beyond each point, outwards, from which on the boundary may lie, rad.
-        upper: (M,) angle up to which it may: one step on, for one revolution of exact azimuths.
-        scatter: (M,) standard deviation of the interval's place, rad: 0 for exact azimuths.
+        upper: (M,) angle up to which it may, rad: one step on, for one revolution.
+        scatter: (M,) standard deviation of the interval's place, each point's own, rad: 0 for exact azimuths.
+        shift: (M,) standard deviation of the place of a whole ring, by which both its ends move the same way, rad: 0
+            for exact azimuths.
         reference_azimuth: azimuth of the target's returns in the LiDAR frame, rad.
         azimuth_step: rad between two firings of a beam in one revolution.
     """
@@ -53,14 +54,24 @@ class EdgePoints:
     lower: Floats
     upper: Floats
     scatter: Floats
+    shift: Floats
     reference_azimuth: float
     azimuth_step: float
 
     def __post_init__(self) -> None:
-        for field in ("points", "azimuth", "lower", "upper", "scatter"):
+        for field in ("points", "azimuth", "lower", "upper", "scatter", "shift"):
             object.__setattr__(self, field, frozen(getattr(self, field)))
         for field in ("ring", "side", "index", "revolutions"):
             object.__setattr__(self, field, frozen(getattr(self, field), np.int64))
+
+    @classmethod
+    def none(cls) -> EdgePoints:
+        """Return no edge points: of a cloud without rings."""
+        counts, angles = np.zeros(0, dtype=np.int64), np.zeros(0)
+        return cls(
+            points=np.zeros((0, 3)), ring=counts, side=counts, azimuth=angles, index=counts, revolutions=counts,
+            lower=angles, upper=angles, scatter=angles, shift=angles, reference_azimuth=0.0, azimuth_step=0.0,
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.points)
@@ -74,6 +85,11 @@ class EdgePoints:
     def middle(self) -> Floats:
         """(M,) azimuth beyond each point at which the boundary is expected, rad."""
         return np.asarray(0.5 * (self.lower + self.upper))
+
+    @property
+    def noisy(self) -> bool:
+        """Whether azimuths have noise."""
+        return bool((self.scatter > 0).any() or (self.shift > 0).any())
 
     @property
     def n_rings(self) -> int:
@@ -120,21 +136,25 @@ def relative_azimuth(points: Floats) -> tuple[Floats, float]:
 
 
 def azimuth_spacing(azimuth: Floats, ring: Ints) -> float | None:
-    """Median azimuth between neighbouring returns of a ring, rad; None where no ring has two returns."""
+    """Median azimuth between neighbouring returns of a ring, rad; None where no ring has two returns.
+
+    Args:
+        azimuth: (N,) of each return, rad.
+        ring: (N,) of each return.
+    """
     order = np.lexsort((azimuth, ring))
     gaps = np.diff(azimuth[order])[np.diff(ring[order]) == 0]
     gaps = gaps[gaps > 1e-6]
     return float(np.median(gaps)) if len(gaps) else None
 
 
-def extract_edge_points(scan: Scan, azimuth_noise: float = 0.0) -> EdgePoints:
+def extract_edge_points(scan: Scan) -> EdgePoints:
     """Find both ends of each ring, by azimuth.
 
     The azimuth step is the sensor's; where it does not state one, the median spacing of the returns.
 
     Args:
         scan: the returns of one target, with rings.
-        azimuth_noise: standard deviation of one azimuth, rad.
 
     Raises:
         EstimationError: no returns, no rings, or no azimuth step stated and none to be seen.
@@ -162,7 +182,7 @@ def extract_edge_points(scan: Scan, azimuth_noise: float = 0.0) -> EdgePoints:
     revolutions = np.maximum(np.rint(density), 1)
     if spacing is not None and spacing > 0.75 * step:
         revolutions[:] = 1  # gaps and jitter make single rings look denser than they are
-    lower, upper, scatter = boundary_interval(revolutions, last - first + 1, azimuth_noise / step)
+    nothing = np.zeros(len(index))
     return EdgePoints(
         points=scan.points[index],
         ring=scan.ring[index],
@@ -170,9 +190,10 @@ def extract_edge_points(scan: Scan, azimuth_noise: float = 0.0) -> EdgePoints:
         azimuth=azimuth[index],
         index=index,
         revolutions=np.repeat(revolutions, 2).astype(np.int64),
-        lower=np.repeat(lower, 2) * step,
-        upper=np.repeat(upper, 2) * step,
-        scatter=np.repeat(scatter, 2) * step,
+        lower=nothing,
+        upper=np.repeat(extreme_width(revolutions), 2) * step,
+        scatter=nothing,
+        shift=nothing,
         reference_azimuth=reference,
         azimuth_step=step,
     )
@@ -211,45 +232,17 @@ def with_top_and_bottom(edges: EdgePoints, scan: Scan) -> EdgePoints:
         lower=np.concatenate([edges.lower, np.zeros(len(added))]),
         upper=np.concatenate([edges.upper, gap]),
         scatter=np.concatenate([edges.scatter, np.zeros(len(added))]),
+        shift=np.concatenate([edges.shift, np.zeros(len(added))]),
     )
 
 
-def boundary_interval(revolutions: Floats, returns: Ints, jitter: float) -> tuple[Floats, Floats, Floats]:
-    """Where the boundary lies beyond a ring's last return, in azimuth steps.
+def extreme_width(revolutions: Floats) -> Floats:
+    """(R,) how far beyond a ring's last return the boundary may lie, in units of azimuth steps.
 
-    Within one step for one revolution: the phase of the firing is uniform. The extreme of k revolutions lies nearer;
-    the uniform density with its mean square is sqrt(6 / ((k + 1)(k + 2))) wide. Azimuths with noise make the last
-    return the largest of several that are about as far out: on average it is beyond the boundary, and it scatters.
+    One step for one revolution: the phase of the firing is uniform. The extreme of k revolutions lies nearer; the
+    uniform density with its mean square is sqrt(6 / ((k + 1)(k + 2))) wide.
 
     Args:
-        revolutions: (R,) merged in each ring.
-        returns: (R,) number of returns in each ring.
-        jitter: standard deviation of an azimuth.
-
-    Returns:
-        Lower end, upper end and standard deviation of a Gaussian shift of the interval, each (R,).
+        revolutions: (R,) number merged in each ring.
     """
-    width = np.sqrt(6.0 / ((revolutions + 1) * (revolutions + 2)))
-    if jitter < 1e-3:
-        return np.zeros(len(width)), width, np.zeros(len(width))
-    reach = np.minimum(returns, int(np.ceil(6 * jitter)) + 2)
-    moments = {int(n): _overshoot(jitter, int(n)) for n in np.unique(reach)}
-    mean = np.array([moments[int(n)][0] for n in reach])
-    variance = np.array([moments[int(n)][1] for n in reach])
-    width = np.minimum(width, np.sqrt(12 * variance))
-    return -mean - width / 2, -mean + width / 2, np.sqrt(np.maximum(variance - width**2 / 12, 0.0))
-
-
-def _overshoot(jitter: float, returns: int) -> tuple[float, float]:
-    """Mean and variance of how far the outermost of some returns lies beyond the boundary, in azimuth steps.
-
-    The outermost of -(k + U) + jitter Z_k, k = 0 ... returns - 1, U uniform on a step and common, Z_k normal.
-    """
-    phase = (np.arange(16) + 0.5) / 16
-    x = np.linspace(-1.0 - 5 * jitter, 5 * jitter, 400)
-    k = np.arange(returns)
-    inside = ndtr((x[:, None, None] + k + phase[:, None]) / jitter).prod(axis=-1).mean(axis=-1)
-    density = np.diff(inside)
-    middle = 0.5 * (x[1:] + x[:-1])
-    mean = float(density @ middle / density.sum())
-    return mean, float(density @ (middle - mean) ** 2 / density.sum())
+    return np.asarray(np.sqrt(6.0 / ((revolutions + 1) * (revolutions + 2))))

@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from optshape_graph.cli.plots import Pictures, plot_option
+
 OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "published_": "paper"}
 """Prefix of columns, and what the printed table calls them."""
 
@@ -20,7 +22,8 @@ OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "publish
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), default=Path("evaluation"),
               show_default=True, help="Folder for the table.")  # fmt: skip
-def command(folder: Path, reference: Path | None, json_path: Path | None, output: Path) -> int:
+@plot_option("errors of all scans")
+def command(folder: Path, reference: Path | None, json_path: Path | None, output: Path, plots: Path | None) -> int:
     """Compare the estimates of several sessions with their markers.
 
     DIR holds session folders, each with a session.yaml. Errors are leave-one-out: each scan is compared in a frame
@@ -73,6 +76,12 @@ def command(folder: Path, reference: Path | None, json_path: Path | None, output
         "a frame fitted to all. paper: as printed, on markers stretched by 3 %, in a frame fitted to its estimates.",
     )  # fmt: skip
     click.echo(f"{len(rows)} scans; table in {output}")
+    if plots:
+        from optshape_graph.viz.mocap import plot_table
+
+        pictures = Pictures(plots)
+        pictures.save("errors", plot_table(rows, {prefix: OF[prefix] for prefix in shown}))
+        pictures.tell()
     return 3 if left_out else 0
 
 

@@ -19,6 +19,9 @@ COMMANDS = {
     "extract": "optshape_graph.cli.extract",
     "map": "optshape_graph.cli.map",
     "evaluate": "optshape_graph.cli.evaluate",
+    "demo": "optshape_graph.cli.demo",
+    "doctor": "optshape_graph.cli.doctor",
+    "completion": "optshape_graph.cli.completion",
 }
 """Command name to the module that defines it as `command`; imported when it is called."""
 
@@ -31,6 +34,9 @@ HELP = {
     "extract": "Cut a session out of a bag or a folder of clouds: scans, images, markers.",
     "map": "Map targets and a trajectory out of a bag, a folder of clouds or a session.",
     "evaluate": "Measure how good the estimates are, beside what the paper reports.",
+    "demo": "Calibrate a bundled session: a result and pictures, in seconds.",
+    "doctor": "Look at the installation: versions, extras, a self-check, and what to do.",
+    "completion": "Print the script that makes bash, zsh or fish complete commands.",
 }
 """One line per command, so that `optshape --help` imports none of them."""
 

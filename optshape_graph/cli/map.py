@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.cli.plots import Pictures, plot_option
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -59,7 +61,7 @@ MANY = 60
 @click.option("--tum", "tum_file", type=click.Path(path_type=Path), help="Write the trajectory.")
 @click.option("--kitti", "kitti_file", type=click.Path(path_type=Path), help="Write the trajectory.")
 @click.option("--g2o", "g2o_file", type=click.Path(path_type=Path), help="Write the pose graph.")
-@click.option("--plot", "plot_file", type=click.Path(path_type=Path), help="Draw the map from above.")
+@plot_option("the map from above, and the structure of its graph")
 def command(
     source: Path,
     target_names: tuple[str, ...],
@@ -80,7 +82,7 @@ def command(
     tum_file: Path | None,
     kitti_file: Path | None,
     g2o_file: Path | None,
-    plot_file: Path | None,
+    plots: Path | None,
 ) -> None:
     """Map the targets that SOURCE saw, and where it saw them from.
 
@@ -140,11 +142,15 @@ def command(
         if graph is None:
             raise click.UsageError("--g2o needs the batch solution, and at least one landmark")
         write_g2o(g2o_file, pose_graph(graph))
-    if plot_file:
-        from optshape_graph.viz.map import plot_map
-
-        plot_map(result).savefig(plot_file, dpi=150)
     _say(result, slam, progress, skipped())
+    if plots:
+        from optshape_graph.viz.map import plot_map, plot_structure
+
+        pictures = Pictures(plots)
+        pictures.save("map", plot_map(result))
+        if graph is not None:
+            pictures.save("structure", plot_structure(graph.problem))
+        pictures.tell()
     if not result.landmarks:
         click.get_current_context().exit(3)
 

@@ -33,7 +33,7 @@ class Patch:
     """Ring segments in one plane, connected.
 
     Attributes:
-        segments: rows of the sweep's segments.
+        segments: (S,) rows of the sweep's segments.
         centre: (3,) mean of their returns, LiDAR frame, metres.
         normal: (3,) unit normal, away from the sensor.
         area: square metres that their beams cover in the plane.

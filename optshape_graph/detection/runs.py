@@ -30,7 +30,7 @@ class Runs:
 
 
 def find_runs(sweep: Sweep, rows: Ints) -> Runs:
-    """Cut returns, of one side of the sensor, into runs along their rings."""
+    """Cut returns, `rows` (N,) of one side of the sensor, into runs along their rings."""
     direction = np.exp(1j * sweep.azimuth[rows])
     azimuth = np.angle(direction * np.conj(direction.sum()))
     order = np.lexsort((azimuth, sweep.ring[rows]))
@@ -43,7 +43,7 @@ def find_runs(sweep: Sweep, rows: Ints) -> Runs:
 
 
 def ring_ends(sweep: Sweep, rows: Ints) -> Ints:
-    """Rows at which rings begin, ring by ring, followed by the rows at which they end."""
+    """(2 M,) of the `rows` (N,) at which rings begin, ring by ring, followed by those at which they end."""
     runs = find_runs(sweep, rows)
     first = np.flatnonzero(np.diff(sweep.ring[runs.rows], prepend=-1))
     last = np.append(first[1:], len(runs.rows)) - 1

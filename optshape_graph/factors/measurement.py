@@ -96,8 +96,8 @@ class TemplateMeasurement:
     errors are independent add up (`+`). Scans of a static scene share the bias of their rings: see `fuse_static`.
 
     Attributes:
-        L: (12, 12) upper triangular.
-        b: (12,).
+        L: (12, 12) upper triangular, whitened.
+        b: (12,) whitened.
         c: what remains at the best z, even where that is not a rigid transform.
         n_rows: number of scalar residuals it was made of: its degrees of freedom are these, not 12.
         T_target_lidar: (4, 4) pose it was taken at: where it is summarised unless another is given.
@@ -229,7 +229,7 @@ class TemplateMeasurement:
         return J.T @ J
 
     def quadratic(self) -> Floats:
-        """Return Q (13, 13) with error = 1/2 [z; 1]^T Q [z; 1]."""
+        """Return the matrix Q (13, 13) with error = 1/2 [z; 1]^T Q [z; 1]."""
         return self.stack.T @ self.stack
 
 

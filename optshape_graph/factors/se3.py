@@ -12,7 +12,7 @@ from optshape_graph._arrays import Floats
 
 
 def skew(v: Floats) -> Floats:
-    """Return the cross-product matrices (..., 3, 3) of vectors (..., 3)."""
+    """Return the cross-product matrices (..., 3, 3) of vectors (..., 3), in their unit."""
     S = np.zeros((*v.shape[:-1], 3, 3))
     S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
     S[..., 1, 0], S[..., 2, 0], S[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]

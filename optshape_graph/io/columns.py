@@ -20,7 +20,7 @@ class Columns:
     """Named columns of a cloud, as recorded.
 
     Attributes:
-        values: each (N,) or (N, k), of whatever type the source has.
+        values: each (N,) or (N, k), of whatever type and unit the source has.
         height: rows of an organised cloud, stored row by row; 1: not organised.
         name: the source, for messages.
     """
@@ -39,7 +39,7 @@ def parse_table(
     usecols: Sequence[int] | None = None,
     first_line: int = 1,
 ) -> NDArray[Any]:
-    """Return a table of numbers as a structured array.
+    """Return a table of numbers as a structured array (N,), in the units of the source.
 
     Args:
         path: the source, for messages.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -60,7 +61,11 @@ class Node:
         return f"{self.path}{f':{line}' if line else ''}" + (f": {name}" if name else "")
 
     def fail(self, problem: str) -> NoReturn:
-        """Raise the error that this value has a problem."""
+        """Raise the error that this value has a problem.
+
+        Raises:
+            InputError: always.
+        """
         raise InputError(f"{self.where}: {problem}")
 
     def expected(self, what: str) -> NoReturn:
@@ -131,7 +136,7 @@ class Node:
         return float(value)
 
     def numbers(self, *shape: int) -> Floats:
-        """An array of finite numbers; -1 in `shape` stands for any length but zero.
+        """An array of finite numbers (...), as they stand; -1 in `shape` stands for any length but zero.
 
         Raises:
             InputError: another nesting, another length, or an element that is not a finite number.
@@ -185,6 +190,11 @@ def check_schema(root: Node, kind: str, version: int = 1) -> None:
         root.fail(f"the key 'schema' is missing; a {kind} file says 'schema: {wanted}'")
     schema = root.at("schema")
     if schema.value != wanted:
+        found = re.fullmatch(rf"optshape/{re.escape(kind)}/([0-9]{{1,9}})", str(schema.value))
+        if found and int(found[1]) > version:
+            schema.fail(
+                f"'{schema.value}' is a newer form of {kind} file; this version of optshape_graph reads '{wanted}'"
+            )
         schema.expected(f"'{wanted}'")
 
 

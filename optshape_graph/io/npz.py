@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import struct
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -27,6 +28,7 @@ _DAMAGE = (
     ValueError,
     TypeError,
     SyntaxError,
+    tokenize.TokenError,  # of a header that NumPy takes for one written by Python 2
     OverflowError,
 )
 """What zipfile and NumPy raise for an archive or a header that is not what it should be."""

@@ -80,7 +80,7 @@ def rings_of_ids(points: Floats, ids: Ints, sensor: SensorModel | None, name: st
 
 
 def rings_of_elevations(points: Floats, sensor: SensorModel, name: str) -> Ints:
-    """Recover rings from the elevations of (N, 3) points.
+    """Recover rings from the elevations of (N, 3) points, metres, LiDAR frame.
 
     Raises:
         InputError: the sensor's table does not fit the elevations.

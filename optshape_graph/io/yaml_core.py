@@ -81,6 +81,8 @@ class _Builder:
         except yaml.MarkedYAMLError as error:
             line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
             problem = " ".join(part for part in (error.context, error.problem) if part)
+            if "nesting depth" in problem:  # libyaml's own limit, where it has one, comes before the one here
+                raise InputError(f"{self.path}{line}: nested more than {DEEPEST} levels deep") from error
             raise InputError(f"{self.path}{line}: not YAML ({problem})") from error
         except yaml.YAMLError as error:
             raise InputError(f"{self.path}: not YAML ({' '.join(str(error).split())})") from error

@@ -90,7 +90,13 @@ def predictions(
 
 
 def distance(residual: Floats, jacobian: Floats, covariance: Floats) -> tuple[float, float]:
-    """Return the squared Mahalanobis distance of a whitened residual, and the log determinant of its covariance."""
+    """Return the squared Mahalanobis distance of a whitened residual, and the log determinant of its covariance.
+
+    Args:
+        residual: (m,) whitened by the measurement alone.
+        jacobian: (m, d) its derivative by the poses, right perturbations, rotation (rad) first, then metres.
+        covariance: (d, d) matrix of the poses.
+    """
     S = np.linalg.cholesky(np.eye(len(residual)) + jacobian @ covariance @ jacobian.T)
     white = np.linalg.solve(S, residual)
     return float(white @ white), 2.0 * float(np.log(np.diag(S)).sum())
@@ -124,7 +130,7 @@ def gated(pairings: Sequence[Pairing], covariance: Floats, order: Mapping[str, i
 
     Args:
         pairings: all of a scan.
-        covariance: joint covariance of all landmarks in question and the LiDAR's pose, which is last.
+        covariance: (d, d) joint covariance of all landmarks in question and the LiDAR's pose, which is last.
         order: position of each landmark's block in `covariance`.
     """
     best: dict[tuple[int, str], Pairing] = {}
@@ -138,7 +144,7 @@ def gated(pairings: Sequence[Pairing], covariance: Floats, order: Mapping[str, i
 
 
 def block(position: int, size: int) -> Ints:
-    """Return the rows of a landmark and of the LiDAR's pose, which is last, in a joint covariance of `size` rows."""
+    """Return the rows (12,) of a landmark and of the LiDAR's pose, last, in a joint covariance of `size` rows."""
     return np.concatenate([np.arange(6 * position, 6 * position + 6), np.arange(size - 6, size)])
 
 
@@ -152,7 +158,7 @@ def associate(
     Args:
         pairings: that have passed the gate alone, the likeliest first.
         n_sightings: number of sightings of the scan.
-        covariance: joint covariance of the landmarks and the LiDAR's pose, which is last.
+        covariance: (d, d) joint covariance of the landmarks and the LiDAR's pose, which is last.
         order: position of each landmark's block in `covariance`.
     """
     candidates = [[p for p in pairings if p.sighting == k] for k in range(n_sightings)]

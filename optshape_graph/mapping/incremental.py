@@ -68,6 +68,9 @@ class LandmarkSlam:
             solved as a batch.
         confirmations: how many sightings must agree on a landmark before it enters the map.
         name: of the session.
+
+    Raises:
+        InputError: fewer than one confirmation.
     """
 
     def __init__(
@@ -214,7 +217,7 @@ class LandmarkSlam:
         return len(self._candidates)
 
     def covariance(self, landmarks: Sequence[str] = (), poses: Sequence[int] = ()) -> Floats:
-        """Return the joint covariance of landmarks and poses, in that order, right perturbations, rotation first.
+        """Return the joint covariance (d, d) of landmarks, then poses, each of its right perturbation, rotation first.
 
         Raises:
             InputError: no such landmark or pose, or one that a lag has marginalised.

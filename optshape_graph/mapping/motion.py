@@ -122,7 +122,14 @@ class MotionMeasurement:
         return (self.at - self.start) / (self.end - self.start)
 
     def with_twist(self, twist: Floats) -> MotionMeasurement:
-        """Return the measurement made with another twist; this one, if no return would move by more than STALE_M."""
+        """Return the measurement made with another twist; this one, if no return would move by more than STALE_M.
+
+        Args:
+            twist: (6,) of the LiDAR in its own frame, rad/s, then m/s.
+
+        Raises:
+            InputError: the returns have no times.
+        """
         change = np.abs(np.asarray(twist, float) - self.twist)
         apart = float(np.abs(_times(self.returns) - self.at).max())
         reach = float(np.linalg.norm(self.returns.points, axis=1).max())

@@ -48,7 +48,7 @@ def joint_prior(keys: Sequence[int], poses: Sequence[Floats], covariance: Floats
 
 
 def sqrt_information(covariance: Floats) -> Floats:
-    """Return R, upper triangular, with R^T R the inverse of a covariance.
+    """Return R (d, d), upper triangular, with R^T R the inverse of a covariance matrix (d, d).
 
     Raises:
         numpy.linalg.LinAlgError: the covariance is not positive definite.

@@ -51,7 +51,15 @@ AHEAD = 2
 
 
 class Observed(NamedTuple):
-    """What was seen at a keyframe."""
+    """What was seen at a keyframe.
+
+    Attributes:
+        stamp: seconds.
+        T_odometry_lidar: (4, 4) at the stamp; None: no odometry.
+        distance: gone since the keyframe before, metres.
+        sightings: of targets.
+        failure: why the scan could not be used, else empty.
+    """
 
     stamp: float
     T_odometry_lidar: Floats | None

@@ -90,7 +90,7 @@ class Smoother:
         return gtsam.Values(self._isam.calculateBestEstimate())
 
     def covariance(self, keys: Sequence[int]) -> Floats:
-        """Return the joint covariance of variables, in their order."""
+        """Return the joint covariance (d, d) of variables, in their order; of poses rotation (rad) first."""
         if len(keys) == 1:
             return np.asarray(self._isam.marginalCovariance(keys[0]))
         return np.asarray(self._isam.jointMarginalCovariance(list(keys)).fullMatrix())

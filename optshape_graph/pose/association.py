@@ -76,6 +76,9 @@ def fit_plane(points: Floats, ring: Ints | None) -> ReturnsPlane:
 NEAR, FAR = 5, 4
 """How many of the best poses are kept that differ a little, and how many beside them that differ much."""
 
+FAR_IF_NOISY = 8
+"""The latter where ring ends are noisy, so that their order is."""
+
 
 def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> Floats:
     """Solve the in-plane pose of every labelling, and keep the best that differ.
@@ -122,9 +125,9 @@ def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> F
     turned = np.abs(np.angle(np.exp(1j * (angle[:, None] - angle[None]))))
     moved = np.linalg.norm(t[:, None] - t[None], axis=-1) / target.circumradius
     near = _first_different((turned < np.radians(1.5)) & (moved < 0.01), NEAR)
-    far = _first_different((turned < np.radians(15.0)) & (moved < 0.3), FAR)
+    far = _first_different((turned < np.radians(15.0)) & (moved < 0.3), FAR_IF_NOISY if edges.noisy else FAR)
     chosen = np.union1d(near, far)
-    return _poses(angle[chosen], t[chosen], plane)
+    return in_plane_poses(angle[chosen], t[chosen], plane)
 
 
 def _solve_2x2(A: Floats, B: Floats) -> Floats:
@@ -185,8 +188,8 @@ def _first_different(alike: Bools, count: int) -> Ints:
     return np.array(kept, dtype=np.int64)
 
 
-def _poses(angle: Floats, t: Floats, plane: ReturnsPlane) -> Floats:
-    """T_target_lidar (C, 4, 4) of in-plane angles (C,) and translations (C, 2)."""
+def in_plane_poses(angle: Floats, t: Floats, plane: ReturnsPlane) -> Floats:
+    """Return T_target_lidar (C, 4, 4) of in-plane angles (C,), rad, and translations (C, 2), metres."""
     c, s = np.cos(angle), np.sin(angle)
     turn = np.zeros((len(angle), 3, 3))
     turn[:, 0, 0] = 1.0

@@ -41,6 +41,12 @@ def chords(vertices: Floats, elevations: Floats, reference_azimuth: float) -> tu
     return (centre[..., None] - half).max(axis=1), (centre[..., None] + half).min(axis=1)
 
 
+def share_lost(edges: EdgePoints) -> float:
+    """Share of rings that return nothing though they meet the target, from those between the lowest and highest."""
+    between = edges.ring[-1] - edges.ring[0] + 1
+    return float((between - edges.n_rings + 1.0) / (between + 9.0))
+
+
 def missed_rings(edges: EdgePoints, sensor: SensorModel, vertices: Floats, lost_width: Floats) -> Floats:
     """Logarithm of the probability (C,) that the rings without returns return nothing.
 
@@ -55,8 +61,7 @@ def missed_rings(edges: EdgePoints, sensor: SensorModel, vertices: Floats, lost_
         lost_width: (C,) how much narrower the target seems to the rings, beside quantisation, rad.
     """
     lowest, highest = edges.ring[0], edges.ring[-1]
-    between = highest - lowest + 1
-    lost = (between - edges.n_rings + 1.0) / (between + 9.0)
+    lost = share_lost(edges)
     outer = np.delete(sensor.elevations, slice(lowest, highest + 1))
     right, left = chords(vertices, outer, edges.reference_azimuth)
     with np.errstate(invalid="ignore"):
@@ -80,7 +85,7 @@ def _boundary(problem: Problem, posterior: Posterior) -> Floats:
     """(C, M, 3) where the posterior puts the boundary that each edge point stands for, LiDAR frame, on the plane."""
     T, edges = posterior.T_target_lidar, problem.edges
     normal = T[:, 0, :3]
-    ray = edges.points + posterior.inset[..., None] * edges.sweep
+    ray = edges.points + (posterior.inset + posterior.shift)[..., None] * edges.sweep
     return np.asarray(ray * (-T[:, 0, 3, None] / np.einsum("ci,cmi->cm", normal, ray))[..., None])
 
 

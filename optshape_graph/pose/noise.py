@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
+from optshape_graph.factors.measurement import template_rows
+from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.sensor import SensorModel
 
 FLATNESS = 1e-3
@@ -14,6 +17,9 @@ FLATNESS = 1e-3
 
 LOST_RETURNS = 0.1
 """Share of ring ends whose return is not within a step of the edge: lost at the edge, or mixed with the background."""
+
+LOST_RETURNS_OF_RAYS = 0.02
+"""The same of a beam without width, which no edge splits."""
 
 LOST_SPAN = (-1.0, 3.0)
 """Where those lie, in azimuth steps inside the edge."""
@@ -49,6 +55,16 @@ class EdgeNoise:
         if sensor is None:
             return cls(3e-3, 0.01, FLATNESS)
         return cls(sensor.beam_divergence, sensor.beam_aperture, FLATNESS)
+
+    @property
+    def ideal(self) -> bool:
+        """Whether the beam has no width, so that it ends where the target does."""
+        return self.divergence + self.aperture == 0
+
+    @property
+    def lost(self) -> float:
+        """Share of ring ends whose return is not within a step of the edge."""
+        return LOST_RETURNS_OF_RAYS if self.ideal else LOST_RETURNS
 
     def width(self, ranges: Floats) -> Floats:
         """Width of the beam at ranges (...), metres; an ideal beam's still is a tenth of a millimetre."""
@@ -105,3 +121,18 @@ def returns_on_plane(
     in_plane = turning - points * (sideways / along)[:, None]
     coupling = azimuth_noise**2 * sideways[:, None] * in_plane
     return PlaneReturns(points * (distance / along)[:, None], distance - along, sigma, rings, bias, coupling)
+
+
+def plane_measurement(returns: PlaneReturns, names: Sequence[str]) -> BiasedMeasurement:
+    """Returns against the target's plane, before the bias of each ring, in standard deviations, is marginalised.
+
+    Where a residual and its row's coefficients err together, the gradient has a mean at the true pose, the sum of their
+    covariances; the constants take it out.
+    """
+    normals = np.broadcast_to([1.0, 0.0, 0.0], returns.points.shape)
+    A, r = template_rows(returns.points, normals, returns.offset)
+    A, r = A / returns.sigma[:, None], r / returns.sigma
+    mean, _ = template_rows(returns.coupling, normals, returns.offset)
+    mean[:, 9:] = 0.0
+    r = r - A @ np.linalg.lstsq(A.T @ A, (mean / returns.sigma[:, None] ** 2).sum(axis=0), rcond=1e-12)[0]
+    return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4), shared=names)

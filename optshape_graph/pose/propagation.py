@@ -6,8 +6,9 @@ Gaussian that stands for its interval in the company of the rest. The result is 
 and a weighted least-squares problem with that solution: each edge point has an inset, the distance to the boundary, and
 a standard deviation.
 
-Unknowns: a right perturbation of T_target_lidar (6), and the offset across the edges that all edge points of a scan
-share (1). Several candidate poses are worked on at once.
+Unknowns: a right perturbation of T_target_lidar (6), the offset across the edges that all edge points of a scan share
+(1), and where azimuths are noisy, the shift along each ring that both its ends share. Several candidate poses are
+worked on at once.
 """
 
 from __future__ import annotations
@@ -79,9 +80,10 @@ class Posterior:
     Attributes:
         T_target_lidar: (C, 4, 4).
         covariance: (C, 6, 6) of the right perturbation of T_target_lidar, rotation first.
-        offset: (C,) common offset across the edges, beam widths; positive: the returns lie further in.
+        offset: (C,) common offset across the edges, in units of the beam's width; positive: the returns lie further in.
         geometry: edge points at these poses.
-        inset: (C, M) distance along the ring from each edge point to the boundary, rad, offset apart.
+        inset: (C, M) distance along the ring from each edge point to the boundary, rad, offset and shift apart.
+        shift: (C, M) outward motion of each edge point with its ring, where azimuths are noisy, rad.
         sigma: (C, M) standard deviation across the edge, metres, that stands for each interval.
         log_evidence: (C,) logarithm of the probability of the edge points, up to a constant of the scan.
     """
@@ -91,11 +93,12 @@ class Posterior:
     offset: Floats
     geometry: EdgeGeometry
     inset: Floats
+    shift: Floats
     sigma: Floats
     log_evidence: Floats
 
     def select(self, index: Ints | slice) -> Posterior:
-        """Return some of the posteriors."""
+        """Return some of the posteriors: a slice of them, or those at indices (K,)."""
         geometry = EdgeGeometry(**{name: value[index] for name, value in vars(self.geometry).items()})
         rest = {name: value[index] for name, value in vars(self).items() if name != "geometry"}
         return Posterior(geometry=geometry, **rest)
@@ -188,27 +191,34 @@ def own_variance(problem: Problem, geometry: EdgeGeometry) -> Floats:
     return np.asarray(problem.noise.floor**2 + (problem.noise.OWN * geometry.across) ** 2 + along**2)
 
 
+def ring_shifts(edges: EdgePoints) -> Floats:
+    """(M, K) outward motion, rad, of each edge point for a standard deviation of each noisy ring's shift."""
+    noisy = np.unique(edges.ring[edges.shift > 0])
+    return np.asarray((edges.ring[:, None] == noisy) * (edges.side * edges.shift)[:, None])
+
+
 def _sweep(
     problem: Problem, T: Floats, geometry: EdgeGeometry, offset: Floats, inset: Floats, spread: Floats, sweeps: int
 ) -> tuple[Floats, Posterior]:
     """Update all edge points `sweeps` times at fixed linearisation; the step of the mean, and the posterior."""
     points, R = problem.edges.points, T[:, :3, :3]
     m = geometry.direction @ R
-    J = np.concatenate([np.cross(points, m), m, geometry.across[..., None]], axis=-1)
+    s, by_shift = geometry.along, ring_shifts(problem.edges)
+    columns = [np.cross(points, m), m, geometry.across[..., None], s[..., None] * by_shift]
+    J = np.concatenate(columns, axis=-1)
     Jt = np.swapaxes(J, 1, 2)
     r = geometry.residual + offset[:, None] * geometry.across
 
     D, z = vec_derivative(T), vec(T)
-    precision0 = np.zeros((len(T), 7, 7))
+    precision0 = np.zeros((len(T), J.shape[-1], J.shape[-1])) + np.eye(J.shape[-1])
     precision0[:, :6, :6] = np.swapaxes(D, 1, 2) @ problem.plane[:12, :12] @ D + _WEAK_PRIOR
-    shift0 = np.zeros((len(T), 7))
+    shift0 = np.zeros(precision0.shape[:2])
     shift0[:, :6] = -((z @ problem.plane[:12, :12] + problem.plane[12, :12])[:, None] @ D)[:, 0]
     offset_precision = 1.0 / problem.noise.COMMON**2
     precision0[:, 6, 6] = offset_precision
     shift0[:, 6] = -offset_precision * offset
 
     own = own_variance(problem, geometry)
-    s = geometry.along
     lower, upper, log_density = _intervals(s, problem.edges)
     tau = 1.0 / (own + spread * s**2)
     nu = -tau * inset * s
@@ -247,10 +257,11 @@ def _sweep(
     fast = np.where(np.abs(s) > 1e-3 * np.linalg.norm(points, axis=1), s, np.inf)
     posterior = Posterior(
         T_target_lidar=T,
-        covariance=covariance[:, :6, :6],
+        covariance=np.asarray(covariance[:, :6, :6]),
         offset=offset + mean[:, 6],
         geometry=geometry,
         inset=np.clip(-(nu / tau) / fast, *_lost_interval(problem.edges)),
+        shift=mean[:, 7:] @ by_shift.T,
         sigma=1.0 / np.sqrt(tau),
         log_evidence=log_evidence,
     )

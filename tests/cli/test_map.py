@@ -46,7 +46,7 @@ def test_a_recording_becomes_a_map(recording, tmp_path):
     output = run(
         recording, "--targets", recording / "board.yaml", "--sensor", recording / "lidar.yaml",
         "--json", tmp_path / "map.json", "--tum", tmp_path / "t.tum", "--kitti", tmp_path / "t.kitti",
-        "--g2o", tmp_path / "g.g2o", "--plot", tmp_path / "map.png",
+        "--g2o", tmp_path / "g.g2o", "--plot", tmp_path / "plots",
     )  # fmt: skip
     assert "2 landmarks, 4 poses" in output
     assert "1 scans skipped: unreadable file" in output
@@ -57,7 +57,9 @@ def test_a_recording_becomes_a_map(recording, tmp_path):
     [trajectory] = found.trajectories.values()
     np.testing.assert_allclose(read_tum(tmp_path / "t.tum").poses, trajectory.poses, atol=1e-9)
     assert len(read_g2o(tmp_path / "g.g2o").vertices) == 6
-    assert (tmp_path / "map.png").stat().st_size > 1000
+    for name in ("map.png", "structure.png"):
+        assert (tmp_path / "plots" / name).stat().st_size > 1000
+        assert f"picture: {tmp_path / 'plots' / name}" in output
 
     # The map made is what the next run starts from.
     again = run(

@@ -50,7 +50,11 @@ class Bag:
 
     @cached_property
     def topics(self) -> tuple[Topic, ...]:
-        """Topics as recorded, and the moving transforms found at the beginning of the tf topics."""
+        """Topics as recorded, and the moving transforms found at the beginning of the tf topics.
+
+        Raises:
+            InputError: the bag cannot be read.
+        """
         transforms = [
             Topic(f"{topic.name}:{parent}:{child}", "pose", topic.type, None)
             for topic in self._recorded
@@ -60,7 +64,11 @@ class Bag:
         return self._recorded + tuple(transforms)
 
     def read(self, topic: Topic, skipped: Skipped, sensor: SensorModel | None = None) -> Iterator[Stamped[Any]]:
-        """Yield what a topic holds in order of recording: `Scan`, `Image`, `CameraIntrinsics` or a (4, 4) pose."""
+        """Yield what a topic holds in order of recording: `Scan`, `Image`, `CameraIntrinsics` or a (4, 4) pose.
+
+        Raises:
+            InputError: the bag cannot be read.
+        """
         name = topic.name.rsplit(":", 2)[0] if topic.type in messages.TRANSFORMS else topic.name
         for number, data in enumerate(self._raw(name, skipped)):
             where = f"{self.path} {name} message {number}"
