@@ -22,8 +22,9 @@ from optshape_graph.evaluation.trajectories import (
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping import Landmark, LandmarkSlam, Map, solve_batch
+from optshape_graph.simulation import ConstantTwist
 from tests.factors.support import TARGET, random_pose, retract, seeds
-from tests.mapping.driving import beside, drive, kitti_path
+from tests.mapping.driving import Twisting, beside, drive, kitti_path
 from tests.mapping.support import at, loop
 
 PATH = loop(length=100.0, n_poses=50).poses
@@ -138,3 +139,11 @@ def test_a_real_path_past_targets_in_simulated_scans():
     joint = np.array([solution.covariance(poses=[("session", k)]) for k in range(1, len(path), 3)])
     nees = pose_nees(estimated.poses[1::3], path[1::3], joint)
     assert nees.mean() / 6 < 2.5  # one drive: neighbouring poses err together
+
+
+@given(seeds)
+def test_the_motion_of_the_drives_is_a_constant_twist(seed):
+    rng = np.random.default_rng(seed)
+    T, twist, times = random_pose(rng), rng.normal(size=6), rng.uniform(-1.0, 1.0, 5)
+    for found, expected in zip(Twisting(T, twist).at(times), ConstantTwist(T, twist).at(times), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-12)
