@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -87,7 +87,7 @@ def drive(
     reach: float = 20.0,
     sigma_m: float = 0.01,
     sigma_deg: float = 0.1,
-    persistent: bool = True,
+    edge_spread: float = 1.0,
     target: Target = PAPER,
 ) -> Drive:
     """Drive a path past targets at one pose a second, and measure each target within reach that is seen from its front.
@@ -101,11 +101,11 @@ def drive(
         reach: metres.
         sigma_m: odometry's noise per square root of a metre, each axis, metres.
         sigma_deg: likewise, deg.
-        persistent: whether the LiDAR's rings keep their biases from scan to scan.
+        edge_spread: of the noise: how far from an outline it is decided which partly hit beams return, in beam radii.
         target: the template of all targets.
     """
     rng = np.random.default_rng([7, seed])
-    noise = NoiseModel.of(SENSOR)
+    noise = replace(NoiseModel.of(SENSOR), edge_spread=edge_spread)
     bias = noise.draw_range_bias(SENSOR.n_rings, rng)
     true = inverse(poses[:-1]) @ poses[1:]
     gone = np.linalg.norm(true[:, :3, 3], axis=1)
@@ -119,8 +119,7 @@ def drive(
         seen = []
         if near:
             scene = Scene(tuple(Patch(target, targets[j]) for j in near))
-            kept = bias if persistent else None
-            simulated = simulate(scene, SENSOR, motion, noise=noise, rng=rng, range_bias=kept)
+            simulated = simulate(scene, SENSOR, motion, noise=noise, rng=rng, range_bias=bias)
             for n, j in enumerate(near):
                 returns = simulated.target_returns(n)
                 if len(returns) < FEWEST:
