@@ -190,7 +190,8 @@ def _shown(progress: Progress, slam: LandmarkSlam, expected: int | None) -> Iter
     from rich.progress import Progress as Bar
 
     columns = TextColumn("mapping"), BarColumn(), TextColumn("{task.fields[summary]}"), TimeRemainingColumn()
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=expected, summary="")
 
         def report(now: Progress) -> None:
