@@ -251,7 +251,7 @@ def plot_runner_up(scan: Scan, estimate: PoseEstimate) -> Figure:
     _name_vertices(axes, target)
     for k, (y, z) in enumerate(other):
         away = np.array([y, z]) / max(float(np.hypot(y, z)), 1e-9)
-        axes.annotate(f"{k}'", (y, z), textcoords="offset points", xytext=(18 * -away[0], 18 * away[1]),
+        axes.annotate(f"{k}'", (y, z), textcoords="offset points", xytext=(14 * away[0], -14 * away[1]),
                       ha="center", va="center", color=VERMILLION)  # fmt: skip
     axes.set_title(
         f"{short(scan.name)}, {estimate.status}: "
