@@ -69,9 +69,10 @@ def parse_table(
 def _what_is_wrong(complaint: str, body: bytes, first_line: int) -> str:
     """Line, problem and column out of NumPy's complaint, which counts the lines of points from 0."""
     complaint = complaint.replace("the dtype passed requires", "expected")
-    found = re.match(r"(.*?)[ ,]*at row (\d+)(?:, column (\d+))?", complaint)
+    found = re.search(r"at row (\d+)(?:, column (\d+))?[^']*\Z", complaint)
     if found is None:
         return f" {complaint}"
+    problem = complaint[: found.start()].rstrip(" ,")
     lines = (line for line, text in enumerate(body.splitlines(), first_line) if text.strip())
-    line = next(itertools.islice(lines, int(found[2]), None), first_line)
-    return f"{line}: {found[1]}" + (f" in column {found[3]}" if found[3] else "")
+    line = next(itertools.islice(lines, int(found[1]), None), first_line)
+    return f"{line}: {problem}" + (f" in column {found[2]}" if found[2] else "")

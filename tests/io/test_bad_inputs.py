@@ -159,6 +159,9 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
         TARGET + "chessboard: {inner_corners: [7, 4.5], square: 0.1}\n", "inner_corners[1]: expected an integer of at least 2, found 4.5",
     ),
     "tags without centres": target(TARGET + "tags: {dictionary: 4X4_50, size: 0.1, centres: {}}\n", "centres: expected at least one tag"),
+    "a key with a line break and an escape": target(TARGET + '"a\\nb\\e[2Jc": 1\n', "unknown key 'a\\nb\\x1b[2Jc'"),
+    "a word of a million letters": (MAPPED + "--odometry o.tum", {"o.tum": "w" * 1_000_000 + " 0 0 0 0 0 0 1"}, ("o.tum:1: could not convert string to float: 'www", "www...")),
+    "a word of blanks": ("estimate a.csv --target paper", {"a.csv": "x,y,z\n1,2,w" + " ," * 3 + " " * 200_000 + "w"}, ("a.csv:2: ",)),
     # sensors
     "no such sensor": ("estimate a.pcd --target paper --sensor vlp61", {"a.pcd": PCD}, ("vlp61: no such file, and the built-in sensors are: ",)),
     "elevations from the top": sensor(SENSOR.replace("-2, 0, 2", "2, 0, -2"), "from the lowest ring up; number 1 (0 deg) does not exceed number 0 (2 deg)"),
