@@ -12,6 +12,7 @@ from typing import Any
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io.recordings import messages
+from optshape_graph.io.recordings.decompression import bound_rosbags
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.recordings.topics import Topic
 from optshape_graph.sensor import SensorModel
@@ -158,6 +159,7 @@ class Bag:
             from rosbags.rosbag2 import Reader as Reader2
         except ImportError as cause:
             raise missing_extra("rosbags", "ros", cause) from cause
+        bound_rosbags()
         try:
             reader: Any = Reader1(self.path) if self.ros == 1 else Reader2(self.path)
             reader.open()
