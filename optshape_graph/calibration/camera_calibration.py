@@ -14,10 +14,9 @@ from optshape_graph.calibration.camera_evidence import CrossValidation, ViewErro
 from optshape_graph.calibration.camera_graph import CalibrationGraph, Discrepancy, Rig, Sighting, Unknowns
 from optshape_graph.calibration.camera_noise import with_estimated_pixel_noise
 from optshape_graph.calibration.camera_observability import (
-    PARALLEL_DEG,
     Direction,
     check_observable,
-    normal_spread,
+    parallel_planes,
     principal_directions,
 )
 from optshape_graph.calibration.camera_start import Start, find_start
@@ -111,6 +110,11 @@ class CameraCalibration:
             return 0.0, 0.0
         row = self.uncertainty.rows["range_bias", lidar].start
         return self.rig.range_bias[lidar], float(np.sqrt(self.uncertainty.covariance[row, row]))
+
+    def edge_inset(self, lidar: str) -> float:
+        """Return the median azimuth from a ring's last return to the target's edge over a LiDAR's used scans, rad."""
+        scans = {id(result.view.scan): result.view.scan for result in self.views if result.used and result.view.scan}
+        return float(np.median([scan.edge_inset for scan in scans.values() if scan.lidar == lidar]))
 
     def pairs(self, lidar: str, camera: str) -> list[tuple[Sighting, Sighting]]:
         """Return the scans and images of the used views that the two sensors took together."""
@@ -287,14 +291,9 @@ def _warnings(views: Sequence[View], used: set[int], start: Start) -> tuple[str,
         found.append(f"{rejected} of {len(views)} views were not used")
     scans = [s for s in start.sightings if used & set(s.views) and isinstance(s.seen, TargetInScan)]
     for lidar in dict.fromkeys(s.sensor for s in scans):
-        spread, mean = normal_spread(np.stack([s.T_sensor_target[:3, 0] for s in scans if s.sensor == lidar]))
-        if np.degrees(spread) < PARALLEL_DEG:
-            x, y, z = mean
-            found.append(
-                f"'{lidar}': the target's planes are nearly parallel (their normals spread by {np.degrees(spread):.1f} "
-                f"deg about ({x:.2f}, {y:.2f}, {z:.2f})): the translations along the plane and the rotation about that "
-                f"normal rest on the target's edges alone; add views with the target tilted otherwise"
-            )
+        normals = np.stack([s.T_sensor_target[:3, 0] for s in scans if s.sensor == lidar])
+        if problem := parallel_planes(normals):
+            found.append(f"'{lidar}': {problem}")
     return tuple(found)
 
 

@@ -115,7 +115,8 @@ def _print(calibration: CameraCalibration) -> None:
             click.echo("\n".join([lines["ros1"], lines["ros2"], f"URDF: {lines['urdf']}"]))
             bias, sigma = calibration.range_bias(lidar)
             click.echo(
-                f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far)"
+                f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far); "
+                f"its last returns lie {np.degrees(calibration.edge_inset(lidar)):.2f} deg inside the targets' edges"
             )
             click.echo(f"worst direction: {calibration.directions(lidar, camera)[0].text} (sd)")
             if (place := calibration.next_placement(lidar, camera)) is not None:

@@ -14,7 +14,8 @@ from optshape_graph.cli.plots import Pictures, plot_option
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from optshape_graph.io.recordings import Stamped
+    from optshape_graph._arrays import Floats
+    from optshape_graph.io.recordings import Recording, Stamped
     from optshape_graph.io.trajectories import Trajectory
     from optshape_graph.mapping.incremental import LandmarkSlam
     from optshape_graph.mapping.map import Map
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
 @click.option("--odometry", metavar="TOPIC|FILE.tum",
               help="Topic of poses, or a TUM file; `none` for none.  "
               "[default: the only topic of poses, if there is one]")  # fmt: skip
+@click.option("--mounting", nargs=6, type=float, metavar="X Y Z ROLL PITCH YAW",
+              help="The LiDAR on the body that the odometry is of: metres and degrees.  "
+              "[default: the recording's static transforms]")  # fmt: skip
 @click.option("--one-each", is_flag=True, help="There is one of each target: its name is the landmark's.")
 @click.option("--known", type=click.Path(path_type=Path), help="Map to start from: surveyed landmarks, or made before.")
 @click.option("--odometry-noise", nargs=2, type=float, default=(0.02, 0.2), show_default=True, metavar="M DEG",
@@ -58,6 +62,7 @@ def command(
     sensor_name: str | None,
     scan_topic: str | None,
     odometry: str | None,
+    mounting: tuple[float, ...] | None,
     one_each: bool,
     known: Path | None,
     odometry_noise: tuple[float, float],
@@ -95,7 +100,7 @@ def command(
 
     if as_built is not None and (lag is not None or not batch):
         raise click.UsageError("--as-built needs the batch solution, so no --lag and no --no-batch")
-    scans, targets, track, expected, skipped = _open(source, target_names, sensor_name, scan_topic, odometry)
+    scans, targets, track, expected, skipped = _open(source, target_names, sensor_name, scan_topic, odometry, mounting)
     slam = LandmarkSlam(
         load_map(known) if known else None,
         lag=lag,
@@ -140,7 +145,12 @@ def command(
 
 
 def _open(
-    source: Path, target_names: tuple[str, ...], sensor_name: str | None, scan_topic: str | None, odometry: str | None
+    source: Path,
+    target_names: tuple[str, ...],
+    sensor_name: str | None,
+    scan_topic: str | None,
+    odometry: str | None,
+    mounting: tuple[float, ...] | None,
 ) -> tuple[Iterable[Stamped[Scan]], list[Target], OdometryTrack | None, int | None, Any]:
     """Scans, targets, odometry, the number of scans if it is known, and what says which messages were skipped."""
     from optshape_graph.io import load_sensor, load_session, load_target
@@ -153,6 +163,7 @@ def _open(
         trajectory = read_tum(odometry)
         assert trajectory.stamps is not None  # TUM has them
         poses = [Stamped(float(stamp), T) for stamp, T in zip(trajectory.stamps, trajectory.poses, strict=True)]
+    T_body_lidar = None if mounting is None else _placed(mounting)
     if source.suffix.lower() in (".yaml", ".yml", ".json"):
         if target_names or sensor_name or scan_topic:
             raise click.UsageError("a session file names its own targets, sensor and scans")
@@ -160,7 +171,7 @@ def _open(
         missed = Skipped()
         return (
             session_scans(session, missed), list(session.targets.values()),
-            None if poses is None else OdometryTrack(poses), len(session.views), lambda: missed,
+            None if poses is None else OdometryTrack(poses, T_body_lidar), len(session.views), lambda: missed,
         )  # fmt: skip
     if not target_names:
         raise click.UsageError("--targets is needed: what is to be looked for")
@@ -168,8 +179,36 @@ def _open(
     stream = recording.scans(scan_topic, None if sensor_name is None else load_sensor(sensor_name))
     if poses is None and odometry != "none" and (odometry or any(t.kind == "pose" for t in recording.topics)):
         poses = recording.poses(odometry)
+        if T_body_lidar is None:
+            T_body_lidar = _mounted(recording, scan_topic, odometry)
     targets = [load_target(name) for name in target_names]
-    return stream, targets, None if poses is None else OdometryTrack(poses), stream.expected, lambda: stream.skipped
+    track = None if poses is None else OdometryTrack(poses, T_body_lidar)
+    return stream, targets, track, stream.expected, lambda: stream.skipped
+
+
+def _placed(mounting: tuple[float, ...]) -> Floats:
+    from math import radians
+
+    from optshape_graph.simulation import pose_from_rpy
+
+    return pose_from_rpy(mounting[:3], [radians(angle) for angle in mounting[3:]])
+
+
+def _mounted(recording: Recording, scan_topic: str | None, pose_topic: str | None) -> Floats | None:
+    """T_body_lidar as the recording has it; None, and a word of warning, where it does not say."""
+    found = recording.mounting(scan_topic, pose_topic)
+    if found.T_body_lidar is None:
+        if found.body and found.lidar:
+            click.echo(
+                f"warning: odometry is of '{found.body}', scans are in '{found.lidar}', and no static transform links "
+                "them: taken for one frame; --mounting says where the LiDAR is",
+                err=True,
+            )
+        return None
+    if found.body != found.lidar:
+        x, y, z = found.T_body_lidar[:3, 3]
+        click.echo(f"'{found.lidar}' is at ({x:.3f}, {y:.3f}, {z:.3f}) m in '{found.body}', by its static transforms")
+    return found.T_body_lidar
 
 
 @contextmanager

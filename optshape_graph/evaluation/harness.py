@@ -79,7 +79,7 @@ def run_tasks(
         with _parallel(workers, dask) as (parallel, delayed):
             work = _OneThread(function)
             for number, rows in parallel(delayed(work)(number, tasks[number]) for number in todo):
-                write_json(_path(folder, number), {"task": number, "rows": rows})
+                write_json(_path(folder, number), {"schema": "optshape/sweep-task/1", "task": number, "rows": rows})
                 finished += 1
                 if progress is not None:
                     progress(finished, len(tasks))

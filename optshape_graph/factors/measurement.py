@@ -199,10 +199,7 @@ class TemplateMeasurement:
         """
         A = np.asarray(T_target_a, float)
         B = np.eye(4) if T_b_lidar is None else np.asarray(T_b_lidar, float)
-        # Columns of the upper 3 x 4 of A T B: R_A [R t] B + t_A e_4^T.
-        M = np.eye(13)
-        M[:12, :12] = np.kron(B.T, A[:3, :3])
-        M[9:12, 12] = A[:3, 3]
+        M = substitution(A, B)
         return self.from_stack(self.stack @ M, self.n_rows, inverse(A) @ self.T_target_lidar @ inverse(B))
 
     def residual(self, T_target_lidar: ArrayLike) -> Floats:
@@ -234,3 +231,14 @@ class TemplateMeasurement:
     def quadratic(self) -> Floats:
         """Return the matrix Q (13, 13) with error = 1/2 [z; 1]^T Q [z; 1]."""
         return self.stack.T @ self.stack
+
+
+def substitution(T_target_a: ArrayLike, T_b_lidar: ArrayLike | None = None) -> Floats:
+    """Return the matrix (13, 13) that takes [z; 1] of T_a_b to that of T_target_lidar = T_target_a T_a_b T_b_lidar."""
+    A = np.asarray(T_target_a, float)
+    B = np.eye(4) if T_b_lidar is None else np.asarray(T_b_lidar, float)
+    # Columns of the upper 3 x 4 of A T B: R_A [R t] B + t_A e_4^T.
+    M = np.eye(13)
+    M[:12, :12] = np.kron(B.T, A[:3, :3])
+    M[9:12, 12] = A[:3, 3]
+    return M

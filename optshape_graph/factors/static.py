@@ -26,7 +26,8 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, triangular
-from optshape_graph.factors.measurement import TemplateMeasurement
+from optshape_graph.factors.measurement import TemplateMeasurement, substitution
+from optshape_graph.factors.se3 import inverse
 
 
 def ring_bias_columns(
@@ -125,6 +126,29 @@ class BiasedMeasurement:
         stack[:, [names.index(name) for name in self.shared]] = self.stack[:, :k]
         stack[:, len(names) :] = self.stack[:, k:]
         return stack
+
+    def without(self, names: Sequence[str]) -> BiasedMeasurement:
+        """Return the measurement with some errors marginalised, each in units of its standard deviation.
+
+        Args:
+            names: of errors that scans do not share after all; those that are not in it do not matter.
+        """
+        gone = [i for i, name in enumerate(self.shared) if name in names]
+        kept = [i for i, name in enumerate(self.shared) if name not in names]
+        g, k = len(gone), len(self.shared)
+        ordered = self.stack[:, [*gone, *kept, *range(k, k + 13)]]
+        R = triangular(np.vstack([np.eye(g, k + 13), ordered]))
+        left = tuple(self.shared[i] for i in kept)
+        return BiasedMeasurement(R[g:, g:], self.n_rows, self.T_target_lidar, left)
+
+    def substituted(self, T_target_a: ArrayLike, T_b_lidar: ArrayLike | None = None) -> BiasedMeasurement:
+        """Return the measurement as one of T_a_b; see `TemplateMeasurement.substituted`."""
+        k = len(self.shared)
+        M = np.eye(k + 13)
+        M[k:, k:] = substitution(T_target_a, T_b_lidar)
+        A, B = np.asarray(T_target_a, float), np.eye(4) if T_b_lidar is None else np.asarray(T_b_lidar, float)
+        pose = inverse(A) @ self.T_target_lidar @ inverse(B)
+        return BiasedMeasurement(triangular(self.stack @ M), self.n_rows, pose, self.shared)
 
     def marginal(self, sigma: ArrayLike) -> TemplateMeasurement:
         """Return the measurement of the pose alone, beta marginalised under its prior.

@@ -20,7 +20,7 @@ LARGEST_IMAGE = 1 << 28
 
 FORMATS = "PNG, JPEG, BMP, TIFF or PNM"
 
-_PNM = re.compile(rb"P[1-6](?:\s+|#[^\n]*\n)+(\d{1,9})(?:\s+|#[^\n]*\n)+(\d{1,9})\s")
+_PNM = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
 
 
 def decode_image(data: bytes, name: str, channels: int | None = None) -> NDArray[np.uint8]:

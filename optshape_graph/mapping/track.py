@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from optshape_graph._arrays import Floats, frozen
-from optshape_graph.factors import TemplateMeasurement
+from optshape_graph.factors import BiasedMeasurement, TemplateMeasurement
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.priors import root_of
 from optshape_graph.mapping.sighting import Sighting
@@ -59,6 +59,11 @@ class Match:
     def measurement(self) -> TemplateMeasurement:
         """Of T_target_lidar, in the landmark's own naming of the vertices."""
         return self.sighting.hypotheses[self.hypothesis]
+
+    @property
+    def biased(self) -> BiasedMeasurement | None:
+        """The same before the biases of the LiDAR's rings are marginalised, where that is kept."""
+        return self.sighting.biased_as(self.hypothesis)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +125,10 @@ class Keys:
         poses: of each track.
         landmarks: by name.
         shapes: of the landmarks whose vertices are refined, by name.
+        biases: of the LiDARs whose rings' biases are, by number of the track.
     """
 
     poses: tuple[tuple[int, ...], ...]
     landmarks: Mapping[str, int]
     shapes: Mapping[str, int]
+    biases: Mapping[int, int] = field(default_factory=dict)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.scan import Scan
 
 NEGLIGIBLE = 1e-4
@@ -36,16 +36,20 @@ def level_rings(scan: Scan) -> tuple[Scan, float]:
     noise = float(np.sqrt((off**2).sum() / freedom)) if freedom > 0 else 0.0
     if noise < NEGLIGIBLE:
         return scan, 0.0
-    level = _known(scan, rings, mean, noise / np.sqrt(counts))[inverse]
+    level, known = _known(scan, rings, mean, noise / np.sqrt(counts))
+    level = level[inverse]
+    # A known elevation is no unknown: far away, where rings have few returns, that is half of what there is.
+    noise = float(np.sqrt(((elevation - level) ** 2).sum() / (len(scan) - (~known).sum())))
     ranges = np.linalg.norm(scan.points, axis=1)
     horizontal = scan.points[:, :2] / np.maximum(flat, 1e-12)[:, None]
     points = np.column_stack([horizontal * np.cos(level)[:, None], np.sin(level)]) * ranges[:, None]
     return replace(scan, points=points), noise
 
 
-def _known(scan: Scan, rings: Ints, mean: Floats, error: Floats) -> Floats:
-    """Elevation of each ring: the sensor's table where the mean agrees with it, within 5 standard errors."""
+def _known(scan: Scan, rings: Ints, mean: Floats, error: Floats) -> tuple[Floats, Bools]:
+    """Elevation of each ring: the sensor's table where the mean agrees with it, within 5 standard errors; and where."""
     if scan.sensor is None or rings.max() >= scan.sensor.n_rings:
-        return mean
+        return mean, np.zeros(len(rings), dtype=bool)
     table = scan.sensor.elevations[rings]
-    return np.where(np.abs(mean - table) < 5 * error, table, mean)
+    known = np.abs(mean - table) < 5 * error
+    return np.where(known, table, mean), known

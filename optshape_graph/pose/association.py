@@ -76,6 +76,9 @@ def fit_plane(points: Floats, ring: Ints | None) -> ReturnsPlane:
 NEAR, FAR = 5, 4
 """How many of the best poses are kept that differ a little, and how many beside them that differ much."""
 
+FAR_IF_NOISY = 8
+"""The latter where ring ends are noisy, so that their order is."""
+
 
 def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> Floats:
     """Solve the in-plane pose of every labelling, and keep the best that differ.
@@ -122,7 +125,7 @@ def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> F
     turned = np.abs(np.angle(np.exp(1j * (angle[:, None] - angle[None]))))
     moved = np.linalg.norm(t[:, None] - t[None], axis=-1) / target.circumradius
     near = _first_different((turned < np.radians(1.5)) & (moved < 0.01), NEAR)
-    far = _first_different((turned < np.radians(15.0)) & (moved < 0.3), FAR)
+    far = _first_different((turned < np.radians(15.0)) & (moved < 0.3), FAR_IF_NOISY if edges.noisy else FAR)
     chosen = np.union1d(near, far)
     return in_plane_poses(angle[chosen], t[chosen], plane)
 

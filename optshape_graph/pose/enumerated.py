@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -24,6 +24,8 @@ from optshape_graph.pose.estimate import (
 )
 from optshape_graph.pose.evidence import alternative_labels, exit_probability, missed_rings, vertices_in_lidar
 from optshape_graph.pose.firing import place_on_firings
+from optshape_graph.pose.likelihood import Firings
+from optshape_graph.pose.modes import Candidates, log, modes_by_association, modes_by_samples
 from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
 from optshape_graph.pose.propagation import (
     EdgeGeometry,
@@ -47,14 +49,6 @@ _ALTERNATIVES = 6
 """How many associations next to the best take part in the estimate."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Candidates:
-    """Posteriors with their log likelihoods, best first."""
-
-    posterior: Posterior
-    score: Floats
-
-
 def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel") -> PoseEstimate:
     """Estimate a target's pose from its returns; see `estimate_pose`.
 
@@ -74,7 +68,12 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     starts = enumerate_poses(edges, plane, target)
     candidates = _score(problem, _upright(starts, target), scan, edges)
 
-    same = _same_mode(candidates.posterior, target)
+    # The likelihood itself is known of beams without width; a beam's own scatter is in the posteriors alone.
+    if problem.noise.ideal and not edges.scatter.any():
+        modes = modes_by_samples(candidates, problem, Firings.of(edges, scan, problem.noise.lost))
+    else:
+        modes = modes_by_association(candidates, target)
+    candidates, same, ambiguity = modes.candidates, modes.best, modes.ambiguity
     on_edges, edge_weight = _edge_measurement(problem, candidates, same)
     shared = on_edges + on_plane
     measurement = shared.marginal(1.0)
@@ -89,12 +88,9 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     final = edge_geometry(problem, T_target_lidar[None], best.geometry.labels)
     inset, sigma = best.inset[0], best.sigma[0]
     residuals = final.residual[0] + inset * final.along[0]
-    ambiguity = _ambiguity(candidates, same)
     unobservable = unobservable_directions(covariance, target.circumradius)
     explained = _explained(problem, final, float(best.offset[0]))
-    # Ends that are extremes of noisy azimuths are less independent than their likelihood takes them to be.
-    needed = AMBIGUITY_MARGIN * (1 + 2 * angular_noise / edges.azimuth_step)
-    status, reason = _verdict(explained, len(problem.edges), unobservable, ambiguity, needed)
+    status, reason = _verdict(explained, len(problem.edges), unobservable, ambiguity)
     return PoseEstimate(
         target=target,
         T_lidar_target=T_lidar_target,
@@ -155,7 +151,7 @@ def _upright(T: Floats, target: Target) -> Floats:
     return result
 
 
-def _score(problem: Problem, starts: Floats, scan: Scan, ends: EdgePoints) -> _Candidates:
+def _score(problem: Problem, starts: Floats, scan: Scan, ends: EdgePoints) -> Candidates:
     """Posterior and log likelihood of each start, best first, each association once.
 
     A first round tells the starts apart. A second works out the best and the associations next to it.
@@ -169,7 +165,7 @@ def _score(problem: Problem, starts: Floats, scan: Scan, ends: EdgePoints) -> _C
     return _distinct(merged, np.concatenate([second.score, first.score]))
 
 
-def _rank(problem: Problem, posterior: Posterior, scan: Scan, ends: EdgePoints) -> _Candidates:
+def _rank(problem: Problem, posterior: Posterior, scan: Scan, ends: EdgePoints) -> Candidates:
     score = posterior.log_evidence + exit_probability(problem, posterior)
     if scan.sensor is not None:
         vertices = vertices_in_lidar(posterior.T_target_lidar, problem.target.vertices)
@@ -182,17 +178,17 @@ def _rank(problem: Problem, posterior: Posterior, scan: Scan, ends: EdgePoints) 
     return _distinct(posterior, score)
 
 
-def _distinct(posterior: Posterior, score: Floats) -> _Candidates:
+def _distinct(posterior: Posterior, score: Floats) -> Candidates:
     """Each association once, as first listed; best first."""
     firsts: dict[bytes, int] = {}
     for k, labels in enumerate(posterior.geometry.labels):
         firsts.setdefault(labels.tobytes(), k)
     index = np.array(list(firsts.values()))
     kept = index[np.argsort(-score[index], kind="stable")]
-    return _Candidates(posterior.select(kept), score[kept])
+    return Candidates(posterior.select(kept), score[kept])
 
 
-def _edge_measurement(problem: Problem, candidates: _Candidates, same: Bools) -> tuple[BiasedMeasurement, float]:
+def _edge_measurement(problem: Problem, candidates: Candidates, same: Bools) -> tuple[BiasedMeasurement, float]:
     """Boundary points against their edges, before the offset that they share is marginalised; and their weight.
 
     Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely
@@ -236,26 +232,14 @@ def _without_shifts(B: Floats) -> Floats:
     return np.asarray(np.eye(len(B)) - (B * ((1 - 1 / np.sqrt(1 + square)) / square)) @ B.T)
 
 
-def _weights(candidates: _Candidates, same: Bools) -> Floats:
+def _weights(candidates: Candidates, same: Bools) -> Floats:
     """(C,) probability of each association, within the best mode; those below a thousandth count as 0."""
     weight = np.where(same, np.exp(np.minimum(candidates.score - candidates.score[0], 0.0)), 0.0)
     weight[weight < 1e-3] = 0.0
     return np.asarray(weight / weight.sum())
 
 
-def _same_mode(posterior: Posterior, target: Target) -> Bools:
-    """(C,) whether each pose belongs to the same mode as the first: their regions of 3 standard deviations meet."""
-    T = posterior.T_target_lidar
-    xi = _log(inverse(T[0]) @ T)
-    both = posterior.covariance + posterior.covariance[0]
-    # Poses within a degree and a hundredth of the target are one pose, however sure each is of itself.
-    size = target.circumradius
-    floor = np.diag(np.array([1.0, 1.0, 1.0, size, size, size]) * np.array([0.02] * 3 + [0.01] * 3)) ** 2
-    distance = np.einsum("ci,ci->c", xi, np.linalg.solve(both + floor, xi[..., None])[..., 0])
-    return np.asarray(distance < 9.0)
-
-
-def _widen(measurement: TemplateMeasurement, candidates: _Candidates, same: Bools) -> TemplateMeasurement:
+def _widen(measurement: TemplateMeasurement, candidates: Candidates, same: Bools) -> TemplateMeasurement:
     """Scale the measurement down where associations of the best mode disagree about the pose.
 
     The covariance of the mixture about the estimate, averaged over directions, is the measurement's own times a
@@ -266,28 +250,12 @@ def _widen(measurement: TemplateMeasurement, candidates: _Candidates, same: Bool
     if len(rows) == 1:
         return measurement
     posterior = candidates.posterior
-    xi = _log(inverse(measurement.T_target_lidar) @ posterior.T_target_lidar[rows])
+    xi = log(inverse(measurement.T_target_lidar) @ posterior.T_target_lidar[rows])
     second_moment = np.einsum("c,cij->ij", weight[rows], posterior.covariance[rows] + xi[:, :, None] * xi[:, None, :])
     factor = max(1.0, float(np.trace(measurement.information() @ second_moment)) / 6.0)
     return TemplateMeasurement.from_stack(
         measurement.stack / np.sqrt(factor), measurement.n_rows, measurement.T_target_lidar
     )
-
-
-def _log(T: Floats) -> Floats:
-    """Tangent vectors (C, 6), rotation first, of transforms (C, 4, 4)."""
-    return np.array([gtsam.Pose3.Logmap(gtsam.Pose3(M)) for M in T])
-
-
-def _ambiguity(candidates: _Candidates, same: Bools) -> Ambiguity:
-    """Margin between the best mode, all its associations together, and the best pose outside it."""
-    others = np.flatnonzero(~same)
-    if not len(others):
-        return Ambiguity(np.inf, None)
-    score = candidates.score
-    best = np.logaddexp.reduce(score[same])
-    rival = others[score[others].argmax()]
-    return Ambiguity(float(best - score[rival]), inverse(candidates.posterior.T_target_lidar[rival]))
 
 
 def _explained(problem: Problem, geometry: EdgeGeometry, offset: float) -> float:
@@ -300,9 +268,9 @@ def _explained(problem: Problem, geometry: EdgeGeometry, offset: float) -> float
 
 
 def _verdict(
-    explained: float, n_points: int, unobservable: tuple[str, ...], ambiguity: Ambiguity, needed: float
+    explained: float, n_points: int, unobservable: tuple[str, ...], ambiguity: Ambiguity
 ) -> tuple[Status, str]:
-    """Status and reason; `needed` is the margin below which a different pose is not ruled out."""
+    """Status and reason."""
     if explained < MIN_EXPLAINED:
         count = round((1 - explained) * n_points)
         return (
@@ -311,6 +279,6 @@ def _verdict(
         )
     if unobservable:
         return "failed", "not observable: " + "; ".join(unobservable)
-    if ambiguity.margin < needed:
+    if ambiguity.margin < AMBIGUITY_MARGIN:
         return "ambiguous", f"a different pose is only {ambiguity.margin:.2g} less likely (log likelihood)"
     return "ok", ""

@@ -41,6 +41,12 @@ def chords(vertices: Floats, elevations: Floats, reference_azimuth: float) -> tu
     return (centre[..., None] - half).max(axis=1), (centre[..., None] + half).min(axis=1)
 
 
+def share_lost(edges: EdgePoints) -> float:
+    """Share of rings that return nothing though they meet the target, from those between the lowest and highest."""
+    between = edges.ring[-1] - edges.ring[0] + 1
+    return float((between - edges.n_rings + 1.0) / (between + 9.0))
+
+
 def missed_rings(edges: EdgePoints, sensor: SensorModel, vertices: Floats, lost_width: Floats) -> Floats:
     """Logarithm of the probability (C,) that the rings without returns return nothing.
 
@@ -55,8 +61,7 @@ def missed_rings(edges: EdgePoints, sensor: SensorModel, vertices: Floats, lost_
         lost_width: (C,) how much narrower the target seems to the rings, beside quantisation, rad.
     """
     lowest, highest = edges.ring[0], edges.ring[-1]
-    between = highest - lowest + 1
-    lost = (between - edges.n_rings + 1.0) / (between + 9.0)
+    lost = share_lost(edges)
     outer = np.delete(sensor.elevations, slice(lowest, highest + 1))
     right, left = chords(vertices, outer, edges.reference_azimuth)
     with np.errstate(invalid="ignore"):

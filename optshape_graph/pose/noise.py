@@ -18,6 +18,9 @@ FLATNESS = 1e-3
 LOST_RETURNS = 0.1
 """Share of ring ends whose return is not within a step of the edge: lost at the edge, or mixed with the background."""
 
+LOST_RETURNS_OF_RAYS = 0.02
+"""The same of a beam without width, which no edge splits."""
+
 LOST_SPAN = (-1.0, 3.0)
 """Where those lie, in azimuth steps inside the edge."""
 
@@ -52,6 +55,16 @@ class EdgeNoise:
         if sensor is None:
             return cls(3e-3, 0.01, FLATNESS)
         return cls(sensor.beam_divergence, sensor.beam_aperture, FLATNESS)
+
+    @property
+    def ideal(self) -> bool:
+        """Whether the beam has no width, so that it ends where the target does."""
+        return self.divergence + self.aperture == 0
+
+    @property
+    def lost(self) -> float:
+        """Share of ring ends whose return is not within a step of the edge."""
+        return LOST_RETURNS_OF_RAYS if self.ideal else LOST_RETURNS
 
     def width(self, ranges: Floats) -> Floats:
         """Width of the beam at ranges (...), metres; an ideal beam's still is a tenth of a millimetre."""

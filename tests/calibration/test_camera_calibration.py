@@ -222,3 +222,17 @@ def test_suggested_placement_helps(views, calibration):
     )
     after = calibrate([*views, extra]).directions("lidar", "cam")[0].sigma_m
     assert after < place.sigma_m
+
+
+def test_two_views_are_not_called_parallel(views):
+    """Two planes that differ are turned about one axis: one translation rests on edges, not two."""
+    (few, turned) = calibrate(views[:2]).warnings
+    assert "2 views took part" in few
+    assert "turned about one axis only" in turned
+    assert "the translation along LiDAR" in turned
+
+
+def test_why_no_target_was_found(views):
+    nothing = [replace(view, scan=None, problem="a.pcd: no board") for view in views[:3]]
+    with pytest.raises(EstimationError, match=r"no target was found in any scan; the first: a\.pcd: no board"):
+        calibrate(nothing)

@@ -12,6 +12,8 @@ from optshape_graph.cli.map import command
 from optshape_graph.io import load_session, save_sensor, save_target, write_scan
 from optshape_graph.io.trajectories import Trajectory, read_g2o, read_tum, write_tum
 from optshape_graph.mapping import load_map
+from optshape_graph.simulation import pose_from_rpy
+from tests.io.recordings.writing import LAYOUTS, maker, write_bag
 from tests.mapping.test_recording import SENSOR, TARGET, WHERE, drive
 
 DEMO = Path(optshape_graph.__file__).parent / "data" / "demo" / "session.yaml"
@@ -87,3 +89,34 @@ def test_wrong_usage(recording):
     assert "--targets is needed" in run(recording, code=2)
     assert "names its own targets" in run(DEMO, "--targets", "paper", code=2)
     assert "--as-built needs the batch" in run(DEMO, "--as-built", 0.01, "--no-batch", code=2)
+
+
+def bag(folder, scans, poses, T_body_lidar, static):
+    """A bag of a LiDAR on a mast, odometry of the base, and, if it is said, where the LiDAR is."""
+    make = maker("mcap")
+    items = [("/tf_static", make.tf(make.transform(0.0, T_body_lidar, "base", make.header(0.0).frame_id)))] * static
+    items += [("/odom", make.odometry(1e3 + p.stamp, p.value @ np.linalg.inv(T_body_lidar))) for p in poses]
+    for stamped in scans:
+        scan = stamped.value
+        cloud = np.zeros(len(scan), LAYOUTS["velodyne"])
+        cloud["x"], cloud["y"], cloud["z"] = scan.points.T
+        cloud["ring"], cloud["time"] = scan.ring, scan.time
+        items.append(("/points", make.cloud(1e3 + stamped.stamp, cloud)))
+    return write_bag(folder, "mcap", items)
+
+
+@pytest.mark.parametrize("static", [True, False])
+def test_odometry_of_the_base_and_a_lidar_on_a_mast(recording, tmp_path, static):
+    T_body_lidar = pose_from_rpy([0.8, -0.3, 1.2], np.radians([0.0, 5.0, 90.0]))
+    scans, poses = drive(4)
+    path = bag(tmp_path, scans, poses, T_body_lidar, static)
+    arguments = [path, "--targets", recording / "board.yaml", "--sensor", recording / "lidar.yaml"]
+    if static:
+        assert "is at (0.800, -0.300, 1.200) m in 'base'" in run(*arguments, "--json", tmp_path / "map.json")
+    else:
+        assert "no static transform links them" in run(*arguments, code=3)
+        run(*arguments, "--mounting", 0.8, -0.3, 1.2, 0, 5, 90, "--json", tmp_path / "map.json")
+    found = load_map(tmp_path / "map.json")
+    assert len(found.landmarks) == 2
+    for landmark in found.landmarks:
+        assert min(np.linalg.norm(landmark.T_world_target[:3, 3] - T[:3, 3]) for T in WHERE) < 0.05

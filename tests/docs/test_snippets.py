@@ -34,11 +34,17 @@ def test_blocks_run_as_printed(page: Path, tmp_path: Path) -> None:
 def test_what_sets_up_the_system_is_there(page: Path) -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     for line in "\n".join(block.text for block in blocks(page) if block.language == "sh").splitlines():
-        command = line.split("#")[0].split()
+        command = line.split("#")[0].replace("-C optshape_graph", "").split()
         if command[:1] == ["make"]:
             subprocess.run(["make", "--dry-run", *command[1:]], cwd=ROOT, check=True, capture_output=True)
         for names in re.findall(r"(?:optshape-graph|\.)\[(.*?)\]", line):
             assert set(names.split(",")) <= set(extras), line
+
+
+@each_page
+def test_pictures_are_there(page: Path) -> None:
+    for path in re.findall(r"!\[[^\]]+\]\(([^)]+)\)", page.read_text()):
+        assert (page.parent / path).is_file(), path
 
 
 def test_examples_are_used() -> None:

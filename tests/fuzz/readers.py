@@ -240,7 +240,7 @@ boxes:
 lidar: {position: [0, 0, 0], rpy_deg: [0, 0, 0], velocity: [1, 0, 0], angular_velocity_deg: [0, 0, 20]}
 """
 
-MARKERS = "frame,marker,x,y,z\n0,corner0,1,2,3\n0,corner1,1,2.5,3\n1,corner0,,,\n1,corner1,1.1,2,nan\n"
+MARKERS = "frame,marker,x,y,z\n0,corner0,1,2,3\n0,corner1,1,2.5,3\n1,corner0,,,\n1,corner1,nan,nan,nan\n"
 
 
 def furnish(folder: Path) -> None:
@@ -249,7 +249,7 @@ def furnish(folder: Path) -> None:
 
     write_scan(folder / "scan.pcd", scan())
     save_camera(folder / "camera.yaml", camera())
-    (folder / "markers.csv").write_text(MARKERS.replace("2,nan", "2,3"))
+    (folder / "markers.csv").write_text(MARKERS)
     (folder / "corners.csv").write_text("vertex,u,v\n0,10,20\n")
     (folder / "image.png").write_bytes(cv2.imencode(".png", np.zeros((48, 64), np.uint8))[1].tobytes())
 
@@ -552,7 +552,7 @@ READERS: dict[str, Reader] = {
     )),
     "markers": Reader((
         Form("m.csv", read_markers, lambda _: [MARKERS.encode()]),
-        Form("mm.csv", lambda path: read_markers(path, "mm"), lambda _: [MARKERS.encode()]),
+        Form("mm.csv", lambda path: read_markers(path, "mm"), lambda _: [MARKERS.replace("2.5", "2500").encode()]),
     )),
     "mocap": Reader((Form("a.csv", read_mocap, exports), Form("a.tsv", read_mocap, tsvs))),
     "mocap-binary": Reader((

@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io.recordings import messages
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
@@ -89,6 +90,31 @@ class Bag:
             _, parent, child = topic.name.rsplit(":", 2)
             return list(messages.decode_transform(self.ros, topic.type, data, parent, child))
         return [messages.decode_pose(self.ros, topic.type, data)]
+
+    def frame(self, topic: Topic) -> str:
+        """Return the frame that a topic of scans is in, or that a topic of poses is of; empty where it is not said."""
+        if topic.type in messages.TRANSFORMS:
+            return topic.name.rsplit(":", 1)[1]
+        with closing(self._raw(topic.name, Skipped())) as raw:
+            for data in itertools.islice(raw, SURVEYED):
+                try:
+                    return messages.frame_of(messages.read_message(self.ros, topic.type, data), topic.kind)
+                except BadMessage:
+                    continue
+        return ""
+
+    def static_transforms(self) -> dict[tuple[str, str], Floats]:
+        """Return T_parent_child (4, 4), by names of parent and child, of all static transforms."""
+        found: dict[tuple[str, str], Floats] = {}
+        for topic in self._recorded:
+            if topic.type in messages.TRANSFORMS and topic.name.endswith("tf_static"):
+                with closing(self._raw(topic.name, Skipped())) as raw:
+                    for data in raw:
+                        try:
+                            found |= messages.transforms_in(messages.read_message(self.ros, topic.type, data))
+                        except BadMessage:
+                            continue
+        return found
 
     def _transforms(self, topic: Topic) -> list[tuple[str, str]]:
         found: dict[tuple[str, str], None] = {}

@@ -1,0 +1,110 @@
+"""What all scans of one LiDAR have in common: the range bias that each ring keeps.
+
+A match says with which bias of which ring its residuals would vanish, B beta + A z + r. Were the bias marginalised in
+every match by itself, it would average away over many scans, and landmarks seen often would seem better known than they
+are. So beta is a variable of its own for each track, in standard deviations of the sensor's ring bias, and a match is
+linear in it: linearised at H, its rows reduce to
+
+    [R_xi  R_beta  d; 0  S  s; 0  0  c],
+
+of which the first six link landmark, pose and biases, and the others are of the biases alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph.factors._rows import factored, triangular
+from optshape_graph.factors.se3 import vec, vec_derivative
+from optshape_graph.mapping.track import MappingProblem
+
+
+@dataclass(frozen=True, eq=False)
+class Biases:
+    """The part of a problem that has biases as variables.
+
+    Attributes:
+        matches: (B,) numbers of the matches that are linear in them.
+        track: (B,) of each of those.
+        names: of each track's biases, in the order of its variable; empty: none of its matches has any.
+        rows: (B, n, m + 13) rows over [beta; z; 1], beta padded to the most biases that a track has.
+        replaced: (K,) whether a match is among them, instead of its template measurement.
+    """
+
+    matches: Ints
+    track: Ints
+    names: tuple[tuple[str, ...], ...]
+    rows: Floats
+    replaced: Bools
+
+    @classmethod
+    def of(cls, problem: MappingProblem, wanted: bool, taken: Bools) -> Biases:
+        """Collect the matches whose sightings have their biases, but for those that are taken already."""
+        matches = [(t, match) for t, track in enumerate(problem.tracks) for match in track.matches]
+        biased = {k: match.biased for k, (_, match) in enumerate(matches) if wanted and not taken[k]}
+        found = {k: measurement for k, measurement in biased.items() if measurement is not None}
+        names = tuple(
+            tuple(sorted({name for k, m in found.items() if matches[k][0] == t for name in m.shared}, key=_natural))
+            for t in range(len(problem.tracks))
+        )
+        m = max(map(len, names), default=0)
+        rows = np.zeros((len(found), max((len(one.stack) for one in found.values()), default=0), m + 13))
+        for row, (k, one) in zip(rows, found.items(), strict=True):
+            place = [names[matches[k][0]].index(name) for name in one.shared]
+            row[: len(one.stack), [*place, *range(m, m + 13)]] = one.stack
+        replaced = np.zeros(len(matches), dtype=bool)
+        replaced[list(found)] = True
+        return cls(np.array(list(found), int), np.array([matches[k][0] for k in found], int), names, rows, replaced)
+
+    def insert(self, values: gtsam.Values, keys: Mapping[int, int]) -> None:
+        """Add the biases, zero, to initial values."""
+        for t, key in keys.items():
+            values.insert(key, np.zeros(len(self.names[t])))
+
+    def at(self, H: Floats, values: gtsam.Values, keys: Mapping[int, int]) -> BiasModel:
+        """Linearise the matches at T_target_lidar (B, 4, 4) and the biases in `values`."""
+        m = self.rows.shape[2] - 13
+        beta = np.zeros((len(self.names), m))
+        for t, key in keys.items():
+            beta[t, : len(self.names[t])] = values.atVector(key)
+        B, A, r = self.rows[..., :m], self.rows[..., m:-1], self.rows[..., -1:]
+        residual = B @ beta[self.track][..., None] + A @ vec(H)[..., None] + r
+        R = factored(np.concatenate([A @ vec_derivative(H), B, residual], axis=-1))
+        alone = {}
+        for t in keys:
+            prior = np.column_stack([np.eye(m), beta[t]])
+            alone[t] = triangular(np.vstack([R[self.track == t, 6:, 6:].reshape(-1, m + 1), prior]))
+        return BiasModel(R[:, :6, :6], R[:, :6, 6:-1], R[:, :6, -1], alone)
+
+
+@dataclass(frozen=True, eq=False)
+class BiasModel:
+    """Gauss-Newton models 1/2 ||R xi + E beta + d||^2 of matches, and what is of the biases alone, steps from here.
+
+    Attributes:
+        R: (B, 6, 6) by the right perturbation of H.
+        E: (B, 6, m) by the biases.
+        d: (B, 6).
+        alone: by track, (m + 1, m + 1) rows [S s; 0 c] over [beta; 1], the prior among them.
+    """
+
+    R: Floats
+    E: Floats
+    d: Floats
+    alone: dict[int, Floats]
+
+    @property
+    def error(self) -> float:
+        """Half the chi-square of the biases alone, and of what no step takes away."""
+        return 0.5 * sum(float(np.square(rows[:, -1]).sum()) for rows in self.alone.values())
+
+
+def _natural(name: str) -> tuple[str, int]:
+    """Sort ring 10 after ring 9."""
+    words = name.rsplit(" ", 1)
+    return (words[0], int(words[1])) if len(words) == 2 and words[1].isdigit() else (name, 0)
