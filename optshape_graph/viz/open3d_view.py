@@ -43,7 +43,7 @@ def geometries(seen: Spatial, step: int = 0) -> list[Any]:
 
 def _cloud(o3d: Any, item: Points) -> Any:
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(item.points)))
-    cloud.colors = o3d.utility.Vector3dVector(np.broadcast_to(item.colours / 255.0, item.points.shape))
+    cloud.colors = o3d.utility.Vector3dVector(np.array(np.broadcast_to(item.colours / 255.0, item.points.shape)))
     return cloud
 
 
