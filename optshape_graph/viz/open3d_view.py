@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from optshape_graph.errors import InputError, missing_extra
-from optshape_graph.viz.spatial import Lines, Points, Spatial
+from optshape_graph.viz.spatial import Lines, Points, Spatial, require_screen
 
 
 def show(seen: Spatial, step: int = 0, name: str = "optshape") -> None:
@@ -20,12 +20,13 @@ def show(seen: Spatial, step: int = 0, name: str = "optshape") -> None:
 
     Raises:
         MissingExtraError: Open3D is absent.
-        InputError: there is no screen.
+        InputError: there is no screen, or the window cannot be opened.
     """
     o3d = _open3d()
+    require_screen("Open3D")  # which would else draw where nobody sees it, and wait for ever
     window = o3d.visualization.Visualizer()
     if not window.create_window(window_name=name, width=1280, height=960):
-        raise InputError("Open3D found no screen to open a window on; write a file for Rerun instead: --save FILE.rrd")
+        raise InputError("Open3D could not open a window; write a file for Rerun instead: --save FILE.rrd")
     for geometry in geometries(seen, step):
         window.add_geometry(geometry)
     window.run()

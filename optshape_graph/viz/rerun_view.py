@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io.files import write_atomically
-from optshape_graph.viz.spatial import Points, Spatial
+from optshape_graph.viz.spatial import Points, Spatial, require_screen
 
 if TYPE_CHECKING:
     import rerun
@@ -45,9 +45,10 @@ def open_viewer(seen: Spatial, name: str = "optshape") -> None:
 
     Raises:
         MissingExtraError: Rerun is absent.
-        InputError: the viewer could not be started.
+        InputError: there is no screen, or the viewer could not be started.
     """
     stream = _stream(name)
+    require_screen("Rerun's viewer")
     try:
         stream.spawn()
     except Exception as error:  # whatever the system says: no program, no permission

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 
 from optshape_graph._arrays import Floats
 from optshape_graph.camera import CameraIntrinsics
+from optshape_graph.errors import InputError
 from optshape_graph.viz.style import COLOURS, GREY, INK
 
 Colours = NDArray[np.uint8]
@@ -74,6 +77,16 @@ class Spatial:
     items: tuple[Points | Lines, ...]
     steps: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
+
+
+def require_screen(viewer: str) -> None:
+    """Find out before a viewer is started that there is nothing to show it on.
+
+    Raises:
+        InputError: on Linux, no display is named.
+    """
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError(f"there is no screen for {viewer} (DISPLAY is not set); write a file: --save FILE.rrd")
 
 
 def rgb(colour: str) -> Colours:

@@ -92,9 +92,21 @@ def test_a_viewer_that_cannot_start_is_one_line(monkeypatch):
         raise RuntimeError("no display")
 
     monkeypatch.setattr(rerun.RecordingStream, "spawn", fails)
+    monkeypatch.setenv("DISPLAY", ":0")
     result = view(DEMO / "4m.pcd")
     assert isinstance(result.exception, InputError)
-    assert "--save FILE.rrd" in str(result.exception)
+    assert "could not be started (no display); write a file instead: --save FILE.rrd" in str(result.exception)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there always is a screen")
+@pytest.mark.parametrize(("library", "option"), [("rerun", ()), ("open3d", ("--open3d",))])
+def test_without_a_screen_no_viewer_is_started(monkeypatch, library, option):
+    pytest.importorskip(library)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    result = view(DEMO / "4m.pcd", *option)
+    assert isinstance(result.exception, InputError)
+    assert "no screen" in str(result.exception)
 
 
 def test_open3d_gets_the_scan_that_was_asked_for(results, monkeypatch):
@@ -120,9 +132,10 @@ def test_open3d_geometries_are_those_of_the_step(results):
             assert len(shape.colors) == len(shape.lines)
 
 
-def test_open3d_without_a_screen_is_one_line(monkeypatch):
+def test_open3d_without_a_window_is_one_line(monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":0")
     open3d = pytest.importorskip("open3d")
     monkeypatch.setattr(open3d.visualization.Visualizer, "create_window", lambda self, **_: False)
     result = view(DEMO / "4m.pcd", "--open3d")
     assert isinstance(result.exception, InputError)
-    assert "no screen" in str(result.exception)
+    assert "could not open a window" in str(result.exception)
