@@ -108,24 +108,40 @@ def by_label(labels: Sequence[int]) -> Colours:
 
 
 def outline(name: str, vertices: Floats, colour: str = INK, label: str = "", step: int | None = None) -> Lines:
-    """A closed polygon (n, 3)."""
+    """Return a closed polygon.
+
+    Args:
+        name: place in the tree of what is shown.
+        vertices: (n, 3) metres.
+        colour: `#rrggbb`.
+        label: beside it; "": none.
+        step: number of the scan; None: all.
+    """
     return Lines(name, (np.vstack([vertices, vertices[:1]]),), rgb(colour), label, step=step)
 
 
 def axes(name: str, T: Floats, size: float = 0.3, label: str = "", step: int | None = None) -> Lines:
-    """The axes of a frame, pose T (4, 4): x red, y green, z blue."""
+    """Return the axes of a frame: x orange, y green, z blue.
+
+    Args:
+        name: place in the tree of what is shown.
+        T: (4, 4) the frame's pose, metres.
+        size: of each axis, metres.
+        label: beside it; "": none.
+        step: number of the scan; None: all.
+    """
     strips = tuple(np.array([T[:3, 3], T[:3, 3] + size * T[:3, k]]) for k in range(3))
     return Lines(name, strips, np.array([[213, 94, 0], [0, 158, 115], [0, 114, 178]], dtype=np.uint8), label, step=step)
 
 
 def ellipsoid(name: str, T: Floats, covariance: Floats, step: int | None = None) -> Lines:
-    """Where the origin of a pose T (4, 4) may be: three standard deviations, as three circles.
+    """Return where a pose's origin may be: three standard deviations, as three circles.
 
     Args:
         name: place in the tree of what is shown.
-        T: the pose.
-        covariance: (6, 6) of its right perturbation, rotation first.
-        step: number of the scan.
+        T: (4, 4) the pose, metres.
+        covariance: (6, 6) of its right perturbation, rotation first, rad and metres.
+        step: number of the scan; None: all.
     """
     R = T[:3, :3]
     values, vectors = np.linalg.eigh(R @ covariance[3:, 3:] @ R.T)
@@ -138,7 +154,14 @@ def ellipsoid(name: str, T: Floats, covariance: Floats, step: int | None = None)
 
 
 def frustum(name: str, T_world_camera: Floats, camera: CameraIntrinsics, depth: float = 0.4) -> Lines:
-    """The pyramid that a camera sees, without its distortion, up to a depth, metres."""
+    """Return the pyramid that a camera sees, without its distortion.
+
+    Args:
+        name: place in the tree of what is shown.
+        T_world_camera: (4, 4) the camera's pose, metres.
+        camera: its intrinsics.
+        depth: of the pyramid, metres.
+    """
     w, h = camera.width, camera.height
     pixels = np.array([[0.0, 0.0, 1.0], [w, 0.0, 1.0], [w, h, 1.0], [0.0, h, 1.0]])
     corners = depth * pixels @ np.linalg.inv(camera.K).T
