@@ -9,6 +9,7 @@ from optshape_graph.cli import environment
 from optshape_graph.cli.environment import Found
 from optshape_graph.cli.main import cli
 from optshape_graph.evaluation import self_check
+from tests.io.schema_support import complaint
 
 REQUIRED = {
     "": dict.fromkeys(environment.CORE, ">=1"),
@@ -30,6 +31,7 @@ def doctor(monkeypatch, tmp_path, found=None, missing=None):
     assert result.exception is None, result.exception
     document = json.loads((tmp_path / "out.json").read_text())
     assert document["schema"] == "optshape/doctor/1"
+    assert complaint(tmp_path / "out.json") is None
     checks = {check["name"]: check for check in document["checks"]}
     for check in checks.values():
         assert (check["status"] == "ok") == (check["to_do"] == "")
