@@ -142,7 +142,7 @@ def turned_poses(points: Floats, plane: ReturnsPlane) -> Floats:
     angle = 2 * np.pi * np.arange(TURNS) / TURNS
     y, z = plane.axes[1:] @ (points.mean(axis=0) - plane.centre)
     c, s = np.cos(angle), np.sin(angle)
-    return _poses(angle, -np.column_stack([c * y - s * z, s * y + c * z]), plane)
+    return in_plane_poses(angle, -np.column_stack([c * y - s * z, s * y + c * z]), plane)
 
 
 def _solve_2x2(A: Floats, B: Floats) -> Floats:
