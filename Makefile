@@ -1,54 +1,51 @@
-# make demo   set up, then run the main job on a bundled session
-# make test   set up, then pass every test: ruff, mypy, pytest
-# make bench  the benchmarks: ratios between two things measured in one run
+# make demo           set up, then run the main job on a bundled session
+# make test           set up, then pass every test: ruff, mypy, pytest
+# make bench          the benchmarks: ratios between two things measured in one run
+# make coverage       the lines that `make test` runs, and those that it does not
+# make docs           the documentation, as a site in build/site
+# make release-check  wheel and sdist, the wheel tried in a fresh environment of every Python in PYTHONS
 #
-# Both set up what they need on a bare Debian or Ubuntu with Python 3.11 or newer, as root or with sudo.
+# All set up what they need on a bare Debian or Ubuntu with Python 3.11 or newer, as root or with sudo (.ci/setup). To
+# choose: PYTHON=python3.13 VENV=/some/folder JOBS=4
 
-PYTHON ?= python3
+PYTHON ?=
 VENV ?= .venv
+JOBS ?= $(shell nproc 2>/dev/null || echo 2)
+PYTHONS ?= $(VENV)/bin/python
 BIN := $(VENV)/bin
-SYSTEM := libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1
-JOBS ?= 2
 
 # Small matrices: threads of the linear algebra only get into each other's way.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test bench setup system
+.PHONY: demo test bench coverage docs release-check
 
-demo: setup
-	@mkdir -p optshape-demo
-	$(BIN)/optshape calibrate mocap optshape_graph/data/demo/session.yaml --json optshape-demo/mocap.json
+demo: setup-plot
+	$(BIN)/optshape demo
 
-test: setup
+test: setup-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n $(JOBS) -m "not benchmark"
 
-bench: setup
+bench: setup-test
 	$(BIN)/python -m pytest -m benchmark -s tests/benchmarks
 
-setup: $(VENV)/.installed
+coverage: setup-test
+	$(BIN)/python -m pytest -n $(JOBS) -m "not benchmark" --cov --cov-report=term:skip-covered
 
-$(VENV)/.installed: pyproject.toml | system
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
-	  { echo "optshape needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version). Set PYTHON=..."; exit 1; }
-	@echo "Installing optshape and all it can use into $(VENV)"
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[test]'
-	@touch $@
+docs: setup-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
-# Debian's and Ubuntu's packages that Open3D loads, and Python's own venv module where it is split off.
-system:
-	@missing=""; \
-	for package in $(SYSTEM); do \
-	  dpkg-query --show --showformat='$${Status}' $$package 2>/dev/null | grep -q 'ok installed' || missing="$$missing $$package"; \
-	done; \
-	$(PYTHON) -c 'import ensurepip' 2>/dev/null || missing="$$missing python3-venv"; \
-	if [ -n "$$missing" ]; then \
-	  echo "Installing system packages:$$missing"; \
-	  if [ "$$(id -u)" = 0 ]; then sudo=; else sudo=sudo; fi; \
-	  $$sudo apt-get update -qq && $$sudo env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $$missing >/dev/null; \
-	fi
+release-check: setup-test
+	rm -rf build/dist
+	$(BIN)/python -m build --outdir build/dist
+	@set -e; for python in $(PYTHONS); do \
+	  rm -rf build/fresh; $$python -m venv build/fresh; \
+	  build/fresh/bin/python -m pip install --quiet build/dist/*.whl; \
+	  (cd build/fresh && bin/python "$(CURDIR)/tests/release/smoke.py"); \
+	done
+
+setup-%:
+	@.ci/setup $(VENV) $* $(PYTHON)

@@ -23,10 +23,10 @@ class CameraIntrinsics:
         width: columns of the image.
         height: rows of the image.
         K: (3, 3) [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], pixels.
-        D: coefficients in OpenCV's order. Pinhole: none, or k1, k2, p1, p2 (radial-tangential), then k3 ("plumb bob"),
-            then k4, k5, k6 (rational). Equidistant: k1 ... k4 of OpenCV's fisheye model, Kannala and Brandt (PAMI
-            2006), theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8); Kalibr's "equidistant" and
-            ROS's "equidistant" are the same.
+        D: (N,) coefficients in OpenCV's order, without unit. Pinhole: none, or k1, k2, p1, p2 (radial-tangential),
+            then k3 ("plumb bob"), then k4, k5, k6 (rational). Equidistant: k1 ... k4 of OpenCV's fisheye model,
+            Kannala and Brandt (PAMI 2006), theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8);
+            Kalibr's "equidistant" and ROS's "equidistant" are the same.
 
     Raises:
         InputError: an unknown model, sizes or focal lengths that are not positive, skew, a principal point outside the

@@ -37,7 +37,7 @@ class EdgePoints:
         index: (M,) row of the scan that each point is.
         revolutions: (M,) how many revolutions were merged in the point's ring.
         lower: (M,) angle beyond each point, outwards, from which on the boundary may lie, rad.
-        upper: (M,) angle up to which it may: one step on, for one revolution.
+        upper: (M,) angle up to which it may, rad: one step on, for one revolution.
         scatter: (M,) standard deviation of the interval's place, each point's own, rad: 0 for exact azimuths.
         shift: (M,) standard deviation of the place of a whole ring, by which both its ends move the same way, rad: 0
             for exact azimuths.
@@ -63,6 +63,15 @@ class EdgePoints:
             object.__setattr__(self, field, frozen(getattr(self, field)))
         for field in ("ring", "side", "index", "revolutions"):
             object.__setattr__(self, field, frozen(getattr(self, field), np.int64))
+
+    @classmethod
+    def none(cls) -> EdgePoints:
+        """Return no edge points: of a cloud without rings."""
+        counts, angles = np.zeros(0, dtype=np.int64), np.zeros(0)
+        return cls(
+            points=np.zeros((0, 3)), ring=counts, side=counts, azimuth=angles, index=counts, revolutions=counts,
+            lower=angles, upper=angles, scatter=angles, shift=angles, reference_azimuth=0.0, azimuth_step=0.0,
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.points)
@@ -127,7 +136,12 @@ def relative_azimuth(points: Floats) -> tuple[Floats, float]:
 
 
 def azimuth_spacing(azimuth: Floats, ring: Ints) -> float | None:
-    """Median azimuth between neighbouring returns of a ring, rad; None where no ring has two returns."""
+    """Median azimuth between neighbouring returns of a ring, rad; None where no ring has two returns.
+
+    Args:
+        azimuth: (N,) of each return, rad.
+        ring: (N,) of each return.
+    """
     order = np.lexsort((azimuth, ring))
     gaps = np.diff(azimuth[order])[np.diff(ring[order]) == 0]
     gaps = gaps[gaps > 1e-6]
@@ -223,12 +237,12 @@ def with_top_and_bottom(edges: EdgePoints, scan: Scan) -> EdgePoints:
 
 
 def extreme_width(revolutions: Floats) -> Floats:
-    """How far beyond a ring's last return the boundary may lie, in azimuth steps.
+    """(R,) how far beyond a ring's last return the boundary may lie, in units of azimuth steps.
 
     One step for one revolution: the phase of the firing is uniform. The extreme of k revolutions lies nearer; the
     uniform density with its mean square is sqrt(6 / ((k + 1)(k + 2))) wide.
 
     Args:
-        revolutions: (R,) merged in each ring.
+        revolutions: (R,) number merged in each ring.
     """
     return np.asarray(np.sqrt(6.0 / ((revolutions + 1) * (revolutions + 2))))

@@ -58,7 +58,7 @@ class Scan:
         return len(self.points)
 
     def select(self, index: NDArray[np.bool_] | NDArray[np.int64]) -> Scan:
-        """Return the returns that a mask or an index array picks, with all their fields."""
+        """Return the returns that a mask (N,) or an index array (M,) picks, with all their fields."""
 
         def pick(values: Values) -> Values:
             return None if values is None else values[index]

@@ -23,6 +23,8 @@ class SensorModel:
         ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
         beam_divergence: full angle of the beam, rad.
         beam_aperture: width of the beam where it leaves the sensor, metres.
+        beam_crossing: where the beams cross, horizontal distance from the axis, metres; drivers report heights as if
+            they met on the axis.
         azimuth_offsets: (R,) rad, each ring's azimuth relative to the sensor's at the time it fires; None: all 0.
         range_resolution: ranges are multiples of it, metres; 0: not quantised.
         min_range: nearer returns are not reported, metres.
@@ -40,6 +42,7 @@ class SensorModel:
     ring_bias: float = 0.01
     beam_divergence: float = 0.0
     beam_aperture: float = 0.0
+    beam_crossing: float = 0.0
     azimuth_offsets: Floats | None = None
     range_resolution: float = 0.0
     min_range: float = 0.0
@@ -60,7 +63,15 @@ class SensorModel:
             raise InputError(
                 f"sensor '{self.name}': elevation {np.degrees(np.abs(elevations).max()):g} deg is not within +-90 deg"
             )
-        for field in ("range_noise", "ring_bias", "beam_divergence", "beam_aperture", "range_resolution", "min_range"):
+        for field in (
+            "range_noise",
+            "ring_bias",
+            "beam_divergence",
+            "beam_aperture",
+            "beam_crossing",
+            "range_resolution",
+            "min_range",
+        ):
             value = getattr(self, field)
             if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"sensor '{self.name}': {field} {value} is not a number >= 0")

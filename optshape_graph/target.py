@@ -88,6 +88,9 @@ class Target:
         Args:
             yz: (n, 2) vertices, metres, y right and z up seen from +x, counter-clockwise.
             name: what results call it.
+
+        Raises:
+            InputError: another shape of array, or a polygon that is no target (see the class).
         """
         polygon = np.asarray(yz, dtype=float)
         if polygon.ndim != 2 or polygon.shape[1] != 2:
@@ -152,13 +155,21 @@ class Target:
         return tuple(frozen(_rotation_x(angle)) for angle in self.symmetries)
 
     def scaled(self, factor: float) -> Target:
-        """Return the target scaled about its origin; the chessboard, being a print, is dropped."""
+        """Return the target scaled about its origin; the chessboard, being a print, is dropped.
+
+        Raises:
+            InputError: a factor that is not positive.
+        """
         if not (np.isfinite(factor) and factor > 0):
             raise InputError(f"target '{self.name}': scale {factor} is not a positive number")
         return Target(self.vertices * factor, self.name)
 
     def scaled_to_area(self, area: float) -> Target:
-        """Return the target scaled about its origin to `area`, square metres."""
+        """Return the target scaled about its origin to `area`, square metres.
+
+        Raises:
+            InputError: an area that is not positive.
+        """
         if not (np.isfinite(area) and area > 0):
             raise InputError(f"target '{self.name}': area {area} m2 is not a positive number")
         return self.scaled(float(np.sqrt(area / self.area)))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -12,10 +14,9 @@ from optshape_graph.calibration.camera_evidence import CrossValidation, ViewErro
 from optshape_graph.calibration.camera_graph import CalibrationGraph, Discrepancy, Rig, Sighting, Unknowns
 from optshape_graph.calibration.camera_noise import with_estimated_pixel_noise
 from optshape_graph.calibration.camera_observability import (
-    PARALLEL_DEG,
     Direction,
     check_observable,
-    normal_spread,
+    parallel_planes,
     principal_directions,
 )
 from optshape_graph.calibration.camera_start import Start, find_start
@@ -27,11 +28,14 @@ from optshape_graph.calibration.consistency import (
     scatter,
     squared_distances,
 )
+from optshape_graph.calibration.free_shape import MeasuredShape, measure_shape
+from optshape_graph.calibration.lens import LensCheck, check_lenses
 from optshape_graph.calibration.next_placement import NextPlacement, suggest_placement
 from optshape_graph.calibration.sightings import TargetInScan, View
 from optshape_graph.calibration.uncertainty import Uncertainty
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.target import Target
 
 FOLDS = 5
 FEW_VIEWS = 5
@@ -71,6 +75,8 @@ class CameraCalibration:
         views: what became of them, in the order given.
         cross_validations: leave-one-out, and k-fold.
         discrepancy: what the scans scatter beyond their noise model; the covariances allow for it.
+        lenses: what the images say of the lenses, where they are many enough to say something.
+        refined: names of the cameras whose lens was refined: the extrinsics belong to the rig's intrinsics.
         warnings: what to know before trusting the result.
         sightings: how every sighting was read.
     """
@@ -82,6 +88,8 @@ class CameraCalibration:
     views: tuple[ViewResult, ...]
     cross_validations: tuple[CrossValidation, ...]
     discrepancy: Discrepancy
+    lenses: tuple[LensCheck, ...]
+    refined: frozenset[str]
     warnings: tuple[str, ...]
     sightings: tuple[Sighting, ...]
 
@@ -103,6 +111,11 @@ class CameraCalibration:
         row = self.uncertainty.rows["range_bias", lidar].start
         return self.rig.range_bias[lidar], float(np.sqrt(self.uncertainty.covariance[row, row]))
 
+    def edge_inset(self, lidar: str) -> float:
+        """Return the median azimuth from a ring's last return to the target's edge over a LiDAR's used scans, rad."""
+        scans = {id(result.view.scan): result.view.scan for result in self.views if result.used and result.view.scan}
+        return float(np.median([scan.edge_inset for scan in scans.values() if scan.lidar == lidar]))
+
     def pairs(self, lidar: str, camera: str) -> list[tuple[Sighting, Sighting]]:
         """Return the scans and images of the used views that the two sensors took together."""
         found = [of_view(number, self.sightings) for number, result in enumerate(self.views) if result.used]
@@ -121,13 +134,28 @@ class CameraCalibration:
         target = self.views[pairs[0][0].views[0]].view.target
         return suggest_placement(target, pairs, self.rig.cameras[camera], T, covariance)
 
+    @cached_property
+    def shapes(self) -> dict[tuple[str, str], MeasuredShape]:
+        """Each target's shape by each LiDAR's scans of the used views, vertices free, by the names of both."""
+        used: dict[tuple[str, str], dict[int, TargetInScan]] = {}
+        targets: dict[str, Target] = {}
+        for result in self.views:
+            if result.used and (scan := result.view.scan) is not None:
+                used.setdefault((scan.lidar, result.view.target.name), {})[id(scan)] = scan
+                targets[result.view.target.name] = result.view.target
+        found = {}
+        for (lidar, name), scans in used.items():
+            with suppress(EstimationError):  # angles with noise: no shape to be told
+                found[lidar, name] = measure_shape([scan.own for scan in scans.values()], targets[name])
+        return found
+
     def _middle(self, lidar: str) -> Floats:
         used = [s for s in self.sightings if any(self.views[view].used for view in s.views)]
         return middle([s for s in used if s.sensor == lidar])
 
 
 def middle(scans: Sequence[Sighting]) -> Floats:
-    """Return the mean centre (3,) of the targets in scans of one LiDAR."""
+    """Return the mean centre (3,), metres, of the targets in scans of one LiDAR."""
     return np.asarray(np.mean([scan.T_sensor_target[:3, 3] for scan in scans], axis=0))
 
 
@@ -149,7 +177,11 @@ def calibrate(
     start = find_start(views)
     lidars = tuple(dict.fromkeys(s.sensor for s in start.sightings if isinstance(s.seen, TargetInScan)))
     base = next(iter(start.rig.T_base_sensor))
-    graph = CalibrationGraph(start.sightings, base, unknowns or Unknowns())
+    unknowns = unknowns or Unknowns()
+    lenses = check_lenses(views)
+    wrong = {lens.camera for lens in lenses if lens.contradicted}
+    refined = {None: wrong, True: set(start.rig.cameras), False: set[str]()}[unknowns.intrinsics]
+    graph = CalibrationGraph(start.sightings, base, unknowns.range_bias_sigma, refined)
     rig, used, squared, discrepancy = _solve_robustly(graph, start)
     taking_part = {s.sensor for s in start.sightings if used & set(s.views)}
     if missing := sorted(set(start.rig.T_base_sensor) - taking_part):
@@ -176,7 +208,12 @@ def calibrate(
         views=tuple(ViewResult(v, k in used, reason(k, v), errors.get(k)) for k, v in enumerate(views)),
         cross_validations=(left_out, k_fold),
         discrepancy=discrepancy,
-        warnings=_warnings(views, used, start),
+        lenses=lenses,
+        refined=frozenset(refined),
+        warnings=(
+            *_warnings(views, used, start),
+            *(_of_lens(lens, lens.camera in refined) for lens in lenses if lens.contradicted),
+        ),
         sightings=start.sightings,
     )
 
@@ -254,12 +291,17 @@ def _warnings(views: Sequence[View], used: set[int], start: Start) -> tuple[str,
         found.append(f"{rejected} of {len(views)} views were not used")
     scans = [s for s in start.sightings if used & set(s.views) and isinstance(s.seen, TargetInScan)]
     for lidar in dict.fromkeys(s.sensor for s in scans):
-        spread, mean = normal_spread(np.stack([s.T_sensor_target[:3, 0] for s in scans if s.sensor == lidar]))
-        if np.degrees(spread) < PARALLEL_DEG:
-            x, y, z = mean
-            found.append(
-                f"'{lidar}': the target's planes are nearly parallel (their normals spread by {np.degrees(spread):.1f} "
-                f"deg about ({x:.2f}, {y:.2f}, {z:.2f})): the translations along the plane and the rotation about that "
-                f"normal rest on the target's edges alone; add views with the target tilted otherwise"
-            )
+        normals = np.stack([s.T_sensor_target[:3, 0] for s in scans if s.sensor == lidar])
+        if problem := parallel_planes(normals):
+            found.append(f"'{lidar}': {problem}")
     return tuple(found)
+
+
+def _of_lens(lens: LensCheck, refined: bool) -> str:
+    found = (
+        f"'{lens.camera}': its {lens.images} images contradict the given intrinsics: with another lens the errors of "
+        f"the corners fall from {lens.rms_px:.2f} to {lens.refined_rms_px:.2f} px"
+    )
+    if refined:
+        return f"{found}; the lens was refined, and the extrinsic belongs to the refined intrinsics ('cameras')"
+    return f"{found}; calibrate the camera again, or let its lens be refined"

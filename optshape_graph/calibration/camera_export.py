@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera_calibration import CameraCalibration, ViewResult
+from optshape_graph.calibration.free_shape import MeasuredShape
 from optshape_graph.camera import CameraIntrinsics
+from optshape_graph.errors import InputError
 from optshape_graph.factors.se3 import inverse, inverse_covariance
 
 
@@ -22,7 +24,7 @@ def as_document(calibration: CameraCalibration) -> dict[str, Any]:
     """
     pairs = [_pair(calibration, lidar, camera) for camera in calibration.cameras for lidar in calibration.lidars]
     several = len(pairs) > 1
-    biases = [_range_bias(calibration, lidar) for lidar in calibration.lidars]
+    biases = [_lidar_errors(calibration, lidar) for lidar in calibration.lidars]
     document: dict[str, Any] = {"schema": "optshape/camera/1", **pairs[0], **biases[0]}
     if several:
         document["extrinsics"] = pairs
@@ -37,21 +39,30 @@ def as_document(calibration: CameraCalibration) -> dict[str, Any]:
     document["views"] = [_view(result) for result in calibration.views]
     for key, validation in zip(("cross_validation", "k_fold"), calibration.cross_validations, strict=True):
         document[key] = {"protocol": validation.protocol, "views": len(validation.views), **validation.means()}
-    document["cameras"] = [_camera(calibration.rig.cameras[name]) for name in calibration.cameras]
+    document["cameras"] = [
+        {**_camera(calibration.rig.cameras[name]), "refined": name in calibration.refined}
+        for name in calibration.cameras
+    ]
+    document["targets"] = [_shape(lidar, shape) for (lidar, _), shape in calibration.shapes.items()]
     document["warnings"] = list(calibration.warnings)
     return document
 
 
 def kalibr_camchain(calibration: CameraCalibration) -> dict[str, Any]:
-    """Return a camchain in Kalibr's form; `T_cam_lidar` (of the base LiDAR) stands where `T_cam_imu` would."""
+    """Return a camchain in Kalibr's form; `T_cam_lidar` (of the base LiDAR) stands where `T_cam_imu` would.
+
+    Raises:
+        InputError: a camera has more distortion terms than any of Kalibr's models.
+    """
     chain: dict[str, Any] = {}
     for k, name in enumerate(calibration.cameras):
         camera = calibration.rig.cameras[name]
+        model, coefficients = _kalibr_distortion(camera)
         entry: dict[str, Any] = {
             "camera_model": "pinhole",
             "intrinsics": [float(camera.K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))],
-            "distortion_model": "equidistant" if camera.model == "equidistant" else "radtan",
-            "distortion_coeffs": [float(x) for x in camera.D],
+            "distortion_model": model,
+            "distortion_coeffs": coefficients,
             "resolution": [int(camera.width), int(camera.height)],
             "rostopic": f"/{name}/image_raw",
             "T_cam_lidar": calibration.transform(name, calibration.lidars[0])[0].tolist(),
@@ -60,6 +71,20 @@ def kalibr_camchain(calibration: CameraCalibration) -> dict[str, Any]:
             entry["T_cn_cnm1"] = calibration.transform(name, calibration.cameras[k - 1])[0].tolist()
         chain[f"cam{k}"] = entry
     return chain
+
+
+def _kalibr_distortion(camera: CameraIntrinsics) -> tuple[str, list[float]]:
+    """Return Kalibr's name of a distortion model and its coefficients."""
+    coefficients = [float(x) for x in camera.D]
+    if camera.model == "equidistant":
+        return "equidistant", coefficients
+    if not any(coefficients):
+        return "none", []
+    if any(coefficients[4:]):
+        raise InputError(
+            f"camera '{camera.name}': {len(coefficients)} distortion terms; Kalibr's radtan model has k1, k2, p1, p2"
+        )
+    return "radtan", coefficients[:4]
 
 
 def static_transforms(parent: str, child: str, T_parent_child: Floats) -> dict[str, str]:
@@ -123,9 +148,25 @@ def _lidar_pair(calibration: CameraCalibration, lidar: str) -> dict[str, Any]:
     return {"base": base, "T_base_lidar": T.tolist(), "covariance": covariance.tolist()}
 
 
-def _range_bias(calibration: CameraCalibration, lidar: str) -> dict[str, float]:
+def _lidar_errors(calibration: CameraCalibration, lidar: str) -> dict[str, float]:
     value, sigma = calibration.range_bias(lidar)
-    return {"range_bias_m": value, "range_bias_sigma_m": sigma}
+    inset = float(np.degrees(calibration.edge_inset(lidar)))
+    return {"range_bias_m": value, "range_bias_sigma_m": sigma, "edge_inset_deg": inset}
+
+
+def _shape(lidar: str, shape: MeasuredShape) -> dict[str, Any]:
+    return {
+        "target": shape.target.name,
+        "lidar": lidar,
+        "sides_m": shape.target.edge_lengths.tolist(),
+        "measured_sides_m": shape.joint.sides.tolist(),
+        "sigma_m": np.sqrt(np.diag(shape.joint.sides_covariance)).tolist(),
+        "measured_vertices": shape.joint.polygon.tolist(),
+        "agrees": shape.agrees,
+        "beam_crossing": shape.beam_crossing,
+        "mean_absolute_error_m": shape.mean_absolute_error,
+        "scans": [{"scan": scan.name, "measured_sides_m": scan.sides.tolist()} for scan in shape.scans],
+    }
 
 
 def _view(result: ViewResult) -> dict[str, Any]:
@@ -134,6 +175,8 @@ def _view(result: ViewResult) -> dict[str, Any]:
         "scan": result.view.scan_name,
         "image": result.view.image_name,
         "target": result.view.target.name,
+        "lidar": result.view.scan.lidar if result.view.scan else None,
+        "camera": result.view.image.camera.name if result.view.image else None,
         "used": result.used,
         "reason": result.reason,
         **(asdict(result.errors) if result.errors is not None else nothing),

@@ -39,8 +39,15 @@ PRINT_SIGMA_M = 1e-4
 OFFSET_SIGMA_M = (1e-4, 2e-3, 2e-3)
 """Standard deviation of where a pattern lies on its target, metres: above the plane, and in it (y, z)."""
 
-INTRINSICS_SIGMA = np.array([20.0, 20.0, 1e-6, 20.0, 20.0, 0.05, 0.05, 0.05, 0.05])
-"""Prior standard deviations of refined intrinsics: fx, fy, skew, cx, cy (px), and the four distortion terms."""
+INTRINSICS_SIGMA = np.array([20.0, 20.0, 1e-6, 1e-3, 1e-3, 0.05, 0.05, 0.05, 0.05])
+"""Prior standard deviations of refined intrinsics: fx, fy, skew, cx, cy (px), and the four distortion terms.
+
+The principal point stays: moving it is nearly a turn of the camera, which the extrinsic takes up, so that the
+extrinsic still fits the principal point that whoever uses it has.
+"""
+
+LENS = np.array([0, 1, 5, 6, 7, 8])
+"""The entries of the intrinsics that are refined: focal lengths and distortion."""
 
 
 def coupling_factor(
@@ -126,7 +133,7 @@ class CompiledCamera:
         return gtsam.Cal3_S2(self.vector[:5]) if self.ideal else gtsam.Cal3DS2(self.vector)
 
     def refined(self, vector: Floats) -> CameraIntrinsics:
-        """Return the intrinsics with other values of `vector`."""
+        """Return the intrinsics with other values of `vector`, (9,): pixels, then coefficients without unit."""
         fx, fy, _, cx, cy, *D = vector
         return replace(self.intrinsics, K=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), D=np.array(D))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import gtsam
@@ -31,11 +31,12 @@ class Unknowns:
 
     Attributes:
         range_bias_sigma: prior standard deviation of each LiDAR's range bias, metres; 0: there is none.
-        intrinsics: whether the cameras' intrinsics are refined, the given ones being the prior.
+        intrinsics: whether the cameras' lenses are refined, the given intrinsics being the prior; None: those that
+            the images contradict.
     """
 
     range_bias_sigma: float = 0.03
-    intrinsics: bool = False
+    intrinsics: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,16 +105,19 @@ class CalibrationGraph:
     Args:
         sightings: of all views.
         base: name of the base LiDAR.
-        unknowns: what is estimated beside the extrinsics.
+        range_bias_sigma: prior standard deviation of each LiDAR's range bias, metres; 0: there is none.
+        refined: names of the cameras whose lens is refined.
     """
 
-    def __init__(self, sightings: Sequence[Sighting], base: str, unknowns: Unknowns) -> None:
-        self._base, self._unknowns, self._sightings = base, unknowns, sightings
+    def __init__(
+        self, sightings: Sequence[Sighting], base: str, range_bias_sigma: float, refined: Collection[str] = ()
+    ) -> None:
+        self._base, self._bias_sigma, self._refined, self._sightings = base, range_bias_sigma, refined, sightings
         self._sensors = list(dict.fromkeys([base, *(sighting.sensor for sighting in sightings)]))
         self._targets = list(dict.fromkeys(sighting.target for sighting in sightings))
         self._points: dict[tuple[str, bool, tuple[float, ...]], int] = {}
         self._cameras = {
-            s.sensor: CompiledCamera.of(s.seen.camera, unknowns.intrinsics)
+            s.sensor: CompiledCamera.of(s.seen.camera, s.sensor in refined)
             for s in sightings
             if isinstance(s.seen, TargetInImage)
         }
@@ -165,7 +169,7 @@ class CalibrationGraph:
         sensor = self._sensors.index(sighting.sensor)
         points = seen.points.relabelled(sighting.S)
         k_points = [self._point(sighting.target, points.printed, point) for point in points.points]
-        k_intrinsics = K(sensor) if self._unknowns.intrinsics else None
+        k_intrinsics = K(sensor) if sighting.sensor in self._refined else None
         camera = self._cameras[sighting.sensor]
         return camera.factors(points, W(sighting.placement), S(sensor), k_points, k_intrinsics)
 
@@ -188,7 +192,7 @@ class CalibrationGraph:
             if isinstance(sighting.seen, TargetInScan):
                 T_target_lidar = start.T_target_base[sighting.placement] @ start.T_base_sensor[sighting.sensor]
                 values.insert(L(number), gtsam.Pose3(T_target_lidar))
-                k_bias = B(self._sensors.index(sighting.sensor)) if self._unknowns.range_bias_sigma > 0 else None
+                k_bias = B(self._sensors.index(sighting.sensor)) if self._bias_sigma > 0 else None
                 keys = (W(sighting.placement), self._sensor_key(sighting.sensor), L(number), k_bias)
                 graph.push_back(coupling_factor(keys, sighting.seen, discrepancy.sigmas, T_target_lidar))
         keys_used = set(graph.keyVector())
@@ -218,7 +222,7 @@ class CalibrationGraph:
                 values.insert(S(number), gtsam.Pose3(start.T_base_sensor[name]))
             if B(number) in keys:
                 values.insert(B(number), start.range_bias.get(name, 0.0))
-                noise = gtsam.noiseModel.Isotropic.Sigma(1, self._unknowns.range_bias_sigma)
+                noise = gtsam.noiseModel.Isotropic.Sigma(1, self._bias_sigma)
                 graph.push_back(gtsam.PriorFactorDouble(B(number), 0.0, noise))
             if K(number) in keys:
                 given = self._cameras[name].calibration

@@ -41,7 +41,7 @@ def principal_directions(covariance: Floats, centre: Floats) -> list[Direction]:
 
     Args:
         covariance: (6, 6) of the right perturbation (LiDAR frame), rotation first.
-        centre: (3,) middle of the targets, LiDAR frame.
+        centre: (3,) middle of the targets, metres, LiDAR frame.
     """
     distance = float(np.linalg.norm(centre))
     to_middle = np.eye(4)
@@ -73,6 +73,10 @@ def _axis(axis: Floats) -> str:
 def check_observable(uncertainty: Uncertainty, centre: Floats) -> None:
     """Raise unless the graph determines every sensor's pose.
 
+    Args:
+        uncertainty: of the graph at its minimum.
+        centre: (3,) middle of the targets, metres, LiDAR frame.
+
     Raises:
         UnobservableError: names the directions that it leaves open.
     """
@@ -96,10 +100,28 @@ def check_observable(uncertainty: Uncertainty, centre: Floats) -> None:
         raise UnobservableError(f"the views leave open: {'; '.join(names)}", tuple(names))
 
 
-def normal_spread(normals: Floats) -> tuple[float, Floats]:
-    """Return the spread of plane normals (V, 3) in their second widest direction, rad, and their mean (3,)."""
+def parallel_planes(normals: Floats) -> str:
+    """Say in which directions unit plane normals (V, 3), LiDAR frame, hardly vary; empty: they vary in all.
+
+    Planes measure translation along their normals only, so what they leave open rests on the targets' edges.
+    """
     mean = normals.mean(axis=0)
     mean /= np.linalg.norm(mean)
     across = normals - np.outer(normals @ mean, mean)
-    widths = np.linalg.svd(across, compute_uv=False) / np.sqrt(len(normals))
-    return float(np.arcsin(min(1.0, widths[1] if len(widths) > 1 else 0.0))), mean
+    _, widths, axes = np.linalg.svd(across, full_matrices=False)
+    spread = np.degrees(np.arcsin(np.clip(widths / np.sqrt(len(normals)), 0.0, 1.0)))
+    if len(spread) > 1 and spread[1] >= PARALLEL_DEG:
+        return ""
+    if spread[0] < PARALLEL_DEG:
+        x, y, z = mean
+        return (
+            f"the target's planes are nearly parallel (their normals spread by {spread[0]:.1f} deg about "
+            f"({x:.2f}, {y:.2f}, {z:.2f})): the translations along the plane and the rotation about that normal rest "
+            f"on the target's edges alone; add views with the target tilted otherwise"
+        )
+    axis = np.cross(mean, axes[0])
+    return (
+        f"the target was turned about one axis only (beside it, its normals spread by "
+        f"{spread[1] if len(spread) > 1 else 0.0:.1f} deg): the translation along {_axis(axis)} rests on the target's "
+        f"edges alone; add views with the target tilted about another axis"
+    )

@@ -78,7 +78,7 @@ def read_views(session: Session, use_target_points: bool = False, progress: Prog
             views.append(
                 View(
                     placement=f"{placements[number]}:{name}",
-                    target=session.targets[name],
+                    target=replace(session.targets[name], name=name),  # two boards of one file are two boards
                     scan=scan if isinstance(scan, TargetInScan) else None,
                     image=image if isinstance(image, TargetInImage) else None,
                     scan_name=_relative(entry.scan, session),
@@ -116,7 +116,8 @@ def target_in_scan(
         measurement=estimate.measurement,
         shared=shared,
         shared_effect=shared_effect,
-        returns=returns.points,
+        edge_inset=estimate.inset_rad,
+        own=returns,
         all_returns=(scan or returns).points,
     )
 

@@ -61,7 +61,8 @@ def find_start(views: Sequence[View]) -> Start:
     readings = [reading for group in placements.values() for reading in group]
     lidars = [reading.sensor for reading in readings if isinstance(reading.seen, TargetInScan)]
     if not lidars:
-        raise EstimationError("no target was found in any scan")
+        problem = next((view.problem for view in views if view.problem), "")
+        raise EstimationError("no target was found in any scan" + (f"; the first: {problem}" if problem else ""))
     base = lidars[0]
     T_base_sensor = _connected(base, readings, list(placements.values()))
 
@@ -137,14 +138,18 @@ def _check(a: str, b: str, found: Consensus) -> None:
     agree, all_ = int(found.inlier.sum()), len(found.inlier)
     if 2 * agree <= all_ and all_ > 1:
         raise EstimationError(
-            f"'{a}' and '{b}': only {agree} of the {all_} views that both took part in agree on where the sensors are"
+            f"'{a}' and '{b}': only {agree} of the {_views(all_)} that both took part in agree on where the sensors are"
         )
     if found.runner_up - found.cost < AMBIGUOUS:
         raise UnobservableError(
-            f"'{a}' and '{b}': a second relative pose fits the {all_} views as well "
+            f"'{a}' and '{b}': a second relative pose fits the {_views(all_)} as well "
             f"(costs {found.cost:.1f} and {found.runner_up:.1f}); add views with the target at other angles",
             (f"which of the symmetric poses of the target '{b}' saw",),
         )
+
+
+def _views(count: int) -> str:
+    return "1 view" if count == 1 else f"{count} views"
 
 
 def _read(

@@ -96,7 +96,7 @@ def assign_markers(target: Target, frames: Sequence[Floats]) -> tuple[int, ...]:
 
     Args:
         target: with n vertices.
-        frames: (n, 3) positions of n markers in each frame, the same markers in the same order; NaN where not seen.
+        frames: (n, 3) positions of n markers in each frame, metres, the same markers in the same order; NaN: not seen.
 
     Returns:
         For each vertex, the marker's index.

@@ -13,6 +13,7 @@ from optshape_graph.calibration.images.planar_pose import PlanarPose
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.factors import TemplateMeasurement
 from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
 
@@ -27,9 +28,11 @@ class TargetInScan:
         covariance: (6, 6) of its right perturbation, rotation first.
         measurement: the exact cost of the returns.
         shared: names of the errors that all scans of the LiDAR have in common: the range biases of its rings.
-        shared_effect: (6, k) how the pose moves, as a right perturbation, by a standard deviation of each.
-        returns: (N, 3) the returns on the target, metres, LiDAR frame.
-        all_returns: (M, 3) every return of the scan, for overlays.
+        shared_effect: (6, k) right perturbation of the pose, rad and metres, by a standard deviation of each.
+        edge_inset: median azimuth from a ring's last return to the target's edge, rad; the estimate lets it be what it
+            is in each scan.
+        own: the returns on the target.
+        all_returns: (M, 3) every return of the scan, metres, for overlays.
     """
 
     lidar: str
@@ -39,12 +42,18 @@ class TargetInScan:
     measurement: TemplateMeasurement
     shared: tuple[str, ...]
     shared_effect: Floats
-    returns: Floats
+    edge_inset: float
+    own: Scan
     all_returns: Floats
 
     def __post_init__(self) -> None:
-        for field in ("T_lidar_target", "covariance", "shared_effect", "returns", "all_returns"):
+        for field in ("T_lidar_target", "covariance", "shared_effect", "all_returns"):
             object.__setattr__(self, field, frozen(getattr(self, field)))
+
+    @property
+    def returns(self) -> Floats:
+        """(N, 3) the returns on the target, metres, LiDAR frame."""
+        return self.own.points
 
     @cached_property
     def ray(self) -> Floats:

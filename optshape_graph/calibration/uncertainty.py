@@ -16,8 +16,9 @@ class Uncertainty:
     """How well the sensors' places and range biases are known at a minimum of the graph.
 
     Attributes:
-        information: (m, m) everything else marginalised; of errors that are independent from scan to scan.
-        covariance: (m, m) its inverse, with what common ring biases change.
+        information: (m, m) matrix, everything else marginalised, of errors that are independent from scan to scan; in
+            units of the rows: rad and metres.
+        covariance: (m, m) its inverse matrix, with what common ring biases change.
         rows: by variable: ("pose", sensor), the right perturbation of T_base_sensor, rotation first; ("range_bias",
             lidar).
     """
@@ -45,7 +46,7 @@ def uncertainty_of(
         kept: those to keep.
         rows: of the result.
         shifts: by the key of an eliminated variable, names of the shared errors that move it, and how a unit of each
-            changes the right-hand side of its normal equations (6, number of names).
+            changes the right-hand side of its normal equations (6, N), N the number of names.
     """
     ordering = gtsam.Ordering()
     everything = list(values.keys())

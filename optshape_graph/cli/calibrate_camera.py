@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from optshape_graph.cli.options import outside_option
+from optshape_graph.cli.plots import Pictures, plot_option
+
 if TYPE_CHECKING:
     from optshape_graph.calibration.camera_calibration import CameraCalibration
 
@@ -14,11 +17,14 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
-@click.option("--overlays", type=click.Path(path_type=Path), help="Write an image per view, returns drawn on it, here.")
+@plot_option("errors of the views, and for each its image with the returns and outlines", "--overlays")
 @click.option("--camchain", type=click.Path(path_type=Path), help="Write a Kalibr-style camchain to this file.")
 @click.option("--use-target-points", is_flag=True, help="Take the targets' returns from the views' manual crops.")
 @click.option(
-    "--refine-intrinsics", is_flag=True, help="Refine the cameras' intrinsics too, the given ones being a prior."
+    "--refine-intrinsics/--keep-intrinsics",
+    default=None,
+    help="Refine the cameras' focal lengths and distortion, the given ones being a prior, or never do. Without "
+    "either: where the images contradict them.",
 )
 @click.option(
     "--range-bias-sigma",
@@ -27,13 +33,15 @@ if TYPE_CHECKING:
     show_default=True,
     help="Prior standard deviation of a LiDAR's range bias, metres; 0: it has none.",
 )
+@outside_option
 def command(
     session: Path,
+    allow_outside: bool,
     json_path: Path | None,
-    overlays: Path | None,
+    plots: Path | None,
     camchain: Path | None,
     use_target_points: bool,
-    refine_intrinsics: bool,
+    refine_intrinsics: bool | None,
     range_bias_sigma: float,
 ) -> int:
     """Calibrate T_camera_lidar from scans and images of targets; no initial guess is needed.
@@ -50,23 +58,28 @@ def command(
     from optshape_graph.io.documents import write_json, write_yaml
 
     with progress_bar("images and scans") as progress:
-        views = read_views(load_session(session), use_target_points, progress)
+        views = read_views(load_session(session, allow_outside=allow_outside), use_target_points, progress)
     with progress_bar("cross-validation") as progress:
         calibration = calibrate(views, Unknowns(range_bias_sigma, refine_intrinsics), progress)
     if json_path:
         write_json(json_path, as_document(calibration))
     if camchain:
         write_yaml(camchain, kalibr_camchain(calibration))
-    if overlays:
-        from optshape_graph.viz.camera import save_overlays
-
-        with progress_bar("overlays") as progress:
-            save_overlays(calibration, overlays, progress)
     _print(calibration)
+    if plots:
+        from optshape_graph.viz.camera import plot_view_errors, save_overlays
+
+        pictures = Pictures(plots)
+        pictures.save("errors", plot_view_errors(calibration))
+        with progress_bar("overlays") as progress:
+            pictures.paths += save_overlays(calibration, plots, progress)
+        pictures.tell()
     return 0 if all(result.used for result in calibration.views) else 3
 
 
 def _print(calibration: CameraCalibration) -> None:
+    import numpy as np
+
     from optshape_graph.calibration.camera_export import static_transforms
     from optshape_graph.cli.console import print_table
     from optshape_graph.factors import inverse_covariance
@@ -105,7 +118,8 @@ def _print(calibration: CameraCalibration) -> None:
             click.echo("\n".join([lines["ros1"], lines["ros2"], f"URDF: {lines['urdf']}"]))
             bias, sigma = calibration.range_bias(lidar)
             click.echo(
-                f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far)"
+                f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far); "
+                f"its last returns lie {np.degrees(calibration.edge_inset(lidar)):.2f} deg inside the targets' edges"
             )
             click.echo(f"worst direction: {calibration.directions(lidar, camera)[0].text} (sd)")
             if (place := calibration.next_placement(lidar, camera)) is not None:
@@ -115,6 +129,16 @@ def _print(calibration: CameraCalibration) -> None:
                     f"tilted {place.pitch_deg:+.0f} deg from facing the LiDAR, would make the worst direction "
                     f"{1e3 * place.expected_sigma_m:.1f} mm instead of {1e3 * place.sigma_m:.1f}"
                 )
+    for (lidar, name), shape in calibration.shapes.items():
+        numbers = [" ".join(f"{1e3 * side:.0f}" for side in sides) for sides in (
+            shape.joint.sides, np.sqrt(np.diag(shape.joint.sides_covariance)), shape.target.edge_lengths,
+        )]  # fmt: skip
+        verdict = "agrees with" if shape.agrees else "CONTRADICTS"
+        click.echo(
+            f"sides of {name} by {lidar}, vertices free: {numbers[0]} mm, sd {numbers[1]} (mostly common: the beam's "
+            f"width); by its file: {numbers[2]}; single scans are off by {1e3 * shape.mean_absolute_error:.1f} mm on "
+            f"average; that {verdict} the file"
+        )
     for warning in calibration.warnings:
         click.echo(f"optshape: warning: {warning}", err=True)
 

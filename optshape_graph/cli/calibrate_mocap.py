@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.cli.options import outside_option
+from optshape_graph.cli.plots import Pictures, plot_option
+
 if TYPE_CHECKING:
     from optshape_graph.calibration.mocap_comparison import ScanError
 
@@ -16,7 +19,11 @@ if TYPE_CHECKING:
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
 @click.option("--estimate-scale", is_flag=True, help="Estimate the motion capture's scale too; else it is 1.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
-def command(session: Path, estimate_scale: bool, json_path: Path | None) -> int:
+@plot_option("errors of the scans, where the target stood, where the markers are")
+@outside_option
+def command(
+    session: Path, estimate_scale: bool, json_path: Path | None, plots: Path | None, allow_outside: bool = False
+) -> int:
     """Calibrate T_lidar_mocap and the marker layout of a session, and compare the estimates with the markers.
 
     Errors are leave-one-out: each scan is compared in a frame fitted to the other scans. Exit status 3: some scans took
@@ -30,7 +37,7 @@ def command(session: Path, estimate_scale: bool, json_path: Path | None) -> int:
     from optshape_graph.io.documents import write_json
 
     with progress_bar("estimating") as progress:
-        scans, left_out = load_mocap_scans(load_session(session), progress)
+        scans, left_out = load_mocap_scans(load_session(session, allow_outside=allow_outside), progress)
     for item in left_out:
         click.echo(f"optshape: left out {item.scan}: {item.reason}", err=True)
     result = calibrate_mocap(scans, estimate_scale=estimate_scale)
@@ -40,7 +47,10 @@ def command(session: Path, estimate_scale: bool, json_path: Path | None) -> int:
         "T_lidar_mocap": result.T_lidar_mocap.tolist(),
         "covariance": result.covariance.tolist(),
         "marker_layout": result.marker_layout.tolist(),
-        "scans": [_entry(error) for error in result.leave_one_out],
+        "scans": [
+            {**_entry(error), "T_lidar_target": T}
+            for error, T in zip(result.leave_one_out, result.T_lidar_target, strict=True)
+        ],
         "mean": _numbers(mean_error(result.leave_one_out)),
         "in_sample": {
             "scans": [_entry(error) for error in result.in_sample],
@@ -65,6 +75,14 @@ def command(session: Path, estimate_scale: bool, json_path: Path | None) -> int:
         "T_mocap_lidar", "LiDAR points into the motion-capture frame", result.T_mocap_lidar,
         result.covariance_mocap_lidar,
     )  # fmt: skip
+    if plots:
+        from optshape_graph.viz.mocap import plot_calibration_errors, plot_marker_layout, plot_placements
+
+        pictures = Pictures(plots)
+        pictures.save("errors", plot_calibration_errors(result))
+        pictures.save("placements", plot_placements(scans, result))
+        pictures.save("markers", plot_marker_layout(scans[0].estimate.target, result))
+        pictures.tell()
     return 3 if left_out else 0
 
 

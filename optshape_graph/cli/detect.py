@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.cli.plots import Pictures, names_of, plot_option
+
 if TYPE_CHECKING:
     from optshape_graph.detection import Detection, Rejection
 
@@ -17,11 +19,15 @@ if TYPE_CHECKING:
               help="Built-in name, NAME@AREA in m2, or target file; once for each target to look for.")  # fmt: skip
 @click.option("--sensor", help="Built-in name or sensor file. Without it: rings from the cloud, noise of a centimetre.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
-def command(scans: tuple[Path, ...], targets: tuple[str, ...], sensor: str | None, json_path: Path | None) -> int:
+@plot_option("for every scan what was found in it, and the fit of every target found")
+def command(
+    scans: tuple[Path, ...], targets: tuple[str, ...], sensor: str | None, json_path: Path | None, plots: Path | None
+) -> int:
     """Find targets in each SCAN (PCD, PLY, NPZ or CSV), a full revolution, and tell them apart by shape.
 
     `return_indices` in the JSON count the cloud's returns from 0, in its order, without points that are no returns
-    (not finite, or at the origin). What was looked at and is no target is listed with the reason.
+    (not finite, or at the origin); `doubtful_indices` are further returns that the pose rests on, at the target's rim
+    or with much noise. What was looked at and is no target is listed with the reason.
 
     Exit status 3: some scans could not be used, or a target's shape or pose is ambiguous; the results of the others
     are written.
@@ -38,11 +44,13 @@ def command(scans: tuple[Path, ...], targets: tuple[str, ...], sensor: str | Non
     rows: list[list[str]] = []
     reasons: list[str] = []
     unusable: list[InputError] = []
+    pictures = Pictures(plots) if plots else None
     with progress_bar("detecting") as progress:
-        for done, path in enumerate(scans):
+        for done, (path, name) in enumerate(zip(scans, names_of(scans), strict=True)):
             progress(done, len(scans))
             try:
-                detections = detect_targets(read_scan(path, model), wanted)
+                scan = read_scan(path, model)
+                detections = detect_targets(scan, wanted)
             except InputError as error:
                 unusable.append(error)
                 reasons.append(str(error))
@@ -53,6 +61,13 @@ def command(scans: tuple[Path, ...], targets: tuple[str, ...], sensor: str | Non
             rejected = [_rejected(one) for one in detections.rejected]
             entries.append({"scan": str(path), "targets": found, "rejected": rejected})
             rows += [_row(path, one) for one in detections.found]
+            if pictures:
+                from optshape_graph.viz.pose import plot_fit
+                from optshape_graph.viz.scan import plot_detections
+
+                pictures.save(name, plot_detections(scan, detections))
+                for k, one in enumerate(detections.found):
+                    pictures.save(f"{name}_{k}_{one.target.name}", plot_fit(scan, one.estimate))
             if not found:
                 rows.append([path.name, "none", *[""] * 6, f"{len(rejected)} rejected"])
             reasons += [f"{path}: {one.status}: {one.reason}" for one in detections.found if one.reason]
@@ -66,6 +81,8 @@ def command(scans: tuple[Path, ...], targets: tuple[str, ...], sensor: str | Non
         rows,
         "score: 0 to 1. margin: log likelihood to the next of the targets asked for, where one fits as well.",
     )
+    if pictures:
+        pictures.tell()
     for reason in reasons:
         click.echo(f"optshape: {reason}", err=True)
     return 3 if reasons else 0
@@ -78,12 +95,14 @@ def _target(detection: Detection) -> dict[str, Any]:
         "T_lidar_target": estimate.T_lidar_target,
         "covariance": estimate.covariance,
         "equivalent_poses": estimate.equivalent_poses,
-        "return_indices": detection.indices,
+        "return_indices": detection.indices[~detection.doubtful],
+        "doubtful_indices": detection.indices[detection.doubtful],
         "score": detection.score,
         "status": detection.status,
         "reason": detection.reason,
         "rival": detection.rival.name if detection.rival else None,
         "margin": detection.margin if detection.rival else None,
+        "probabilities": dict(detection.probabilities),
         "evidence": vars(detection.evidence),
     }
 

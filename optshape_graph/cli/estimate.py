@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.cli.plots import Pictures, names_of, plot_option
+
 if TYPE_CHECKING:
     from optshape_graph.pose import PoseEstimate
 
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 @click.option("--backend", type=click.Choice(["clarabel", "cvxpy"]), default="clarabel", show_default=True,
               help="What solves the relaxation behind the certificate.")  # fmt: skip
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@plot_option("for every scan the fit, edges, residuals and vertices, and the runner-up where ambiguous")
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -29,6 +32,7 @@ def command(
     method: str,
     backend: str,
     json_path: Path | None,
+    plots: Path | None,
 ) -> int:
     """Estimate a target's pose in each SCAN (PCD, PLY, NPZ or CSV), which holds the target's returns and no others.
 
@@ -46,11 +50,13 @@ def command(
     rows: list[list[str]] = []
     reasons: list[str] = []
     unreadable: list[InputError] = []
+    pictures = Pictures(plots) if plots else None
     with progress_bar("estimating") as progress:
-        for done, path in enumerate(scans):
+        for done, (path, name) in enumerate(zip(scans, names_of(scans), strict=True)):
             progress(done, len(scans))
             try:
-                estimate = estimate_pose(read_scan(path, model), template, method, backend)  # type: ignore[arg-type]
+                scan = read_scan(path, model)
+                estimate = estimate_pose(scan, template, method, backend)  # type: ignore[arg-type]
             except (InputError, EstimationError) as error:
                 if isinstance(error, InputError):
                     unreadable.append(error)
@@ -60,6 +66,11 @@ def command(
                 continue
             entries.append(_entry(path, estimate))
             rows.append(_row(path, estimate))
+            if pictures:
+                from optshape_graph.viz.pose import plot_estimate
+
+                for kind, figure in plot_estimate(scan, estimate).items():
+                    pictures.save(f"{name}_{kind}", figure)
             if estimate.reason:
                 reasons.append(f"{path}: {estimate.status}: {estimate.reason}")
     if len(unreadable) == len(scans):
@@ -73,6 +84,8 @@ def command(
         "±: largest standard deviation of position and rotation. cert.: globally optimal. "
         "margin: log likelihood to the best different pose.",
     )
+    if pictures:
+        pictures.tell()
     for reason in reasons:
         click.echo(f"optshape: {reason}", err=True)
     return 0 if all(entry["status"] == "ok" for entry in entries) else 3

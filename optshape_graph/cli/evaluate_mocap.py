@@ -8,6 +8,9 @@ from typing import Any
 
 import click
 
+from optshape_graph.cli.options import outside_option
+from optshape_graph.cli.plots import Pictures, plot_option
+
 OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "published_": "paper"}
 """Prefix of columns, and what the printed table calls them."""
 
@@ -20,7 +23,16 @@ OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "publish
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), default=Path("evaluation"),
               show_default=True, help="Folder for the table.")  # fmt: skip
-def command(folder: Path, reference: Path | None, json_path: Path | None, output: Path) -> int:
+@plot_option("errors of all scans")
+@outside_option
+def command(
+    folder: Path,
+    reference: Path | None,
+    json_path: Path | None,
+    output: Path,
+    plots: Path | None,
+    allow_outside: bool,
+) -> int:
     """Compare the estimates of several sessions with their markers.
 
     DIR holds session folders, each with a session.yaml. Errors are leave-one-out: each scan is compared in a frame
@@ -41,7 +53,7 @@ def command(folder: Path, reference: Path | None, json_path: Path | None, output
     from optshape_graph.io.documents import write_json
 
     output.mkdir(parents=True, exist_ok=True)
-    sessions = find_sessions(folder)
+    sessions = find_sessions(folder, allow_outside=allow_outside)
     estimates = None if reference is None else load_reference(reference)
     with progress_bar("estimating") as progress:
         rows, left_out = evaluate_mocap(sessions, estimates, progress)
@@ -73,6 +85,12 @@ def command(folder: Path, reference: Path | None, json_path: Path | None, output
         "a frame fitted to all. paper: as printed, on markers stretched by 3 %, in a frame fitted to its estimates.",
     )  # fmt: skip
     click.echo(f"{len(rows)} scans; table in {output}")
+    if plots:
+        from optshape_graph.viz.mocap import plot_table
+
+        pictures = Pictures(plots)
+        pictures.save("errors", plot_table(rows, {prefix: OF[prefix] for prefix in shown}))
+        pictures.tell()
     return 3 if left_out else 0
 
 

@@ -82,7 +82,9 @@ def command(
     )
     from optshape_graph.io import load_sensor, load_target
     from optshape_graph.viz.evaluation import plot_sweep
+    from optshape_graph.viz.style import new_figure, save_figure
 
+    new_figure()  # whether there is matplotlib: better known before the sweep than after it
     sweep = SimulationSweep(
         target=load_target(target_name),
         sensor=None if sensor_name is None else load_sensor(sensor_name),
@@ -110,7 +112,7 @@ def command(
     write_csv(output / "consistency.csv", by_group(rows, cell, consistency))
     printed_level = "1" if "1" in sweep.noise else sweep.noise[0]
     write_csv(output / "table1.csv", beside_published([row for row in cells if row["noise"] == printed_level]))
-    plot_sweep(cells).savefig(output / "errors.png", dpi=150)
+    save_figure(plot_sweep(cells), output / "errors.png")
     _show(groups)
     click.echo(f"{len(rows)} rows; tables and charts in {output}")
 

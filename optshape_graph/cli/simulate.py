@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.cli.plots import Pictures, plot_option
+
 if TYPE_CHECKING:
     from optshape_graph._arrays import Floats
     from optshape_graph.sensor import SensorModel
@@ -58,6 +60,7 @@ def noise_options(function: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--reference", is_flag=True, help="The paper's simulator with its quirks; --sensor does not apply.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the noise.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Cloud to write, ending in .pcd.")
+@plot_option("the scan, with the true outlines of the targets")
 def command(
     target_name: str,
     sensor_name: str,
@@ -73,6 +76,7 @@ def command(
     reference: bool,
     seed: int,
     output: Path,
+    plots: Path | None,
     **noise_parts: float | None,
 ) -> None:
     """Simulate one revolution; write the cloud, and the truth beside it.
@@ -120,6 +124,12 @@ def command(
     result = result.without_rings(left_out)
     truth = write_simulation(output, result, noise, seed, left_out)
     click.echo(f"{output}: {len(result.scan)} returns; truth: {truth}")
+    if plots:
+        from optshape_graph.viz.scan import plot_simulation
+
+        pictures = Pictures(plots)
+        pictures.save(output.stem, plot_simulation(result))
+        pictures.tell()
 
 
 def _noise(

@@ -33,6 +33,9 @@ class Family:
 
     Attributes:
         sides: number of sides, at least three.
+
+    Raises:
+        InputError: fewer than three sides.
     """
 
     sides: int = 4
@@ -60,10 +63,10 @@ class Family:
         """Return the images of unit area.
 
         Args:
-            parameters: (B, 5) theta, k, lambda, v1, v2.
+            parameters: (B, 5) theta (rad), k, lambda, v1, v2 (without unit).
 
         Returns:
-            (B, n, 2) vertices, counter-clockwise.
+            (B, n, 2) vertices in units of the root of the area, counter-clockwise.
 
         Raises:
             InputError: lambda is not positive, or a depth is not (the image would not be convex).
@@ -86,10 +89,10 @@ class Family:
         """Return the parameters of a polygon: the inverse of `polygons`, up to translation and scale.
 
         Args:
-            polygon: (n, 2) vertices, counter-clockwise; vertex 0 is the image of the nominal vertex 0.
+            polygon: (n, 2) vertices in any unit, counter-clockwise; vertex 0 is the image of the nominal vertex 0.
 
         Returns:
-            (5,) theta, k, lambda, v1, v2.
+            (5,) theta (rad), k, lambda, v1, v2 (without unit).
 
         Raises:
             InputError: the polygon is not in the family.

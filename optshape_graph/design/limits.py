@@ -30,6 +30,9 @@ class Limits:
         asymmetry: smallest share of its area that the shape uncovers when it is turned, other than slightly
             (`nearest_self_rotation`). The score does not ask for it: among triangles the equilateral one is best.
         sheet: sides of a sheet on which the target fits whole, turned as it likes, metres.
+
+    Raises:
+        InputError: a bound that is not positive.
     """
 
     area: float = 1.0
@@ -66,13 +69,16 @@ class Limits:
 
 
 def diameters(polygons: Floats) -> Floats:
-    """(...,) largest distances between two vertices."""
+    """(...,) largest distances between two vertices, in the unit of the (..., n, 2) polygons."""
     apart = polygons[..., :, None, :] - polygons[..., None, :, :]
     return np.asarray(np.linalg.norm(apart, axis=-1).max(axis=(-2, -1)))
 
 
 def widths(polygons: Floats) -> Floats:
-    """(..., n) extents across each edge; the smallest is the width of a convex polygon."""
+    """(..., n) extents across each edge, in the unit of the (..., n, 2) polygons.
+
+    The smallest is the width of a convex polygon.
+    """
     along = edges(polygons)
     normals = np.stack([-along[..., 1], along[..., 0]], axis=-1) / np.linalg.norm(along, axis=-1, keepdims=True)
     return np.asarray(np.ptp(polygons @ np.swapaxes(normals, -1, -2), axis=-2))

@@ -99,7 +99,7 @@ def search(
 
 
 def upright(polygon: Floats) -> Floats:
-    """Return a polygon about its area's centroid, its longest extent level, wider below than above.
+    """Return a polygon (n, 2) in its unit, about its area's centroid, its longest extent level, wider below than above.
 
     The score is the worst over all orientations, so any is as good; this one stands well.
     """

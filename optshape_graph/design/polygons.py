@@ -9,24 +9,24 @@ from optshape_graph._arrays import Bools, Floats
 
 
 def areas(polygons: Floats) -> NDArray[np.float64]:
-    """(...,) signed areas, positive if counter-clockwise."""
+    """(...,) signed areas, in the square of the polygons' unit, positive if counter-clockwise."""
     return np.asarray(0.5 * _crosses(polygons).sum(axis=-1))
 
 
 def centroids(polygons: Floats) -> Floats:
-    """(..., 2) centroids of the areas."""
+    """(..., 2) centroids of the areas, in the polygons' unit."""
     crosses = _crosses(polygons)
     sums = polygons + np.roll(polygons, -1, axis=-2)
     return np.asarray((sums * crosses[..., None]).sum(axis=-2) / (3.0 * crosses.sum(axis=-1)[..., None]))
 
 
 def centred(polygons: Floats) -> Floats:
-    """Return the polygons moved so that the centroids of their areas are at the origin."""
+    """(..., n, 2) polygons, in their unit, moved so that the centroids of their areas are at the origin."""
     return np.asarray(polygons - centroids(polygons)[..., None, :])
 
 
 def edges(polygons: Floats) -> Floats:
-    """(..., n, 2) edge vectors; edge k runs from vertex k to vertex k + 1."""
+    """(..., n, 2) edge vectors, in the polygons' unit; edge k runs from vertex k to vertex k + 1."""
     return np.roll(polygons, -1, axis=-2) - polygons
 
 

@@ -20,7 +20,7 @@ class Rings(Protocol):
         """Whether turning every polygon by half a turn turns its rings with it."""
 
     def heights(self, low: Floats, high: Floats) -> Floats:
-        """(k, ..., m) ring heights in the m areas of polygons that reach from `low` to `high`, both (...,)."""
+        """(k, ..., m) ring heights in the m areas of polygons of unit area that reach from `low` to `high`, (...,)."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,9 @@ class UniformRings:
     Attributes:
         areas: number of strips m.
         per_area: number of rings in a strip.
+
+    Raises:
+        InputError: fewer than one of either.
     """
 
     areas: int = 5
@@ -45,7 +48,7 @@ class UniformRings:
         return True
 
     def heights(self, low: Floats, high: Floats) -> Floats:
-        """(k, ..., m) ring heights."""
+        """(k, ..., m) ring heights, in the unit of `low` and `high`, (...,)."""
         place = np.arange(1, self.per_area + 1)[:, None] / (self.per_area + 1)
         fractions = (np.arange(self.areas) + place) / self.areas
         fractions = fractions.reshape(self.per_area, *(1,) * np.ndim(low), self.areas)

@@ -26,14 +26,14 @@ MU = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class EdgeCrossings:
-    """Rings against edges: (k, n, ..., m) for k rings in each of m areas of (..., n, 2) polygons.
+    """Rings against edges: (k, n, ..., m) for k rings in each of m areas of (..., n, 2) polygons, in their unit.
 
     Attributes:
-        hit: whether the ring meets the edge: for a convex polygon, two edges of n or none.
-        x: abscissa of the edge point, 0 where there is none.
-        y: (k, 1, ..., m) height of the ring.
-        slope: (n, ..., 1) m = dx/dy of the edge, 0 where it is level.
-        side: (n, ..., 1) +1 for an edge at the right end of its chords, -1 at the left.
+        hit: (k, n, ..., m) whether the ring meets the edge: for a convex polygon, two edges of n or none.
+        x: (k, n, ..., m) abscissa of the edge point in the polygons' unit, 0 where there is none.
+        y: (k, 1, ..., m) height of the ring in the polygons' unit.
+        slope: (n, ..., 1) m = dx/dy of the edge, a ratio, 0 where it is level.
+        side: (n, ..., 1) the number +1 for an edge at the right end of its chords, -1 at the left.
     """
 
     hit: Bools
@@ -49,11 +49,11 @@ class EdgeCrossings:
 
     @property
     def chords(self) -> Floats:
-        """(k, ..., m) distances d between the two edge points of each ring."""
+        """(k, ..., m) distances d between the two edge points of each ring, in the polygons' unit."""
         return np.asarray((self.side * self.x).sum(axis=1))
 
     def motion(self, motions: Floats) -> Floats:
-        """(k, n, ..., m, g) v_x of the edge points under (g, 3) motions (omega, u, v); 0 where there is none."""
+        """(k, n, ..., m, g) v_x of the edge points under (g, 3) unit motions (omega, u, v); 0 where there is none."""
         omega, u, v = motions.T
         return np.asarray(self.turning[..., None] * omega + self.hit[..., None] * (u - self.slope[..., None] * v))
 
@@ -62,8 +62,8 @@ def edge_crossings(polygons: Floats, heights: Floats) -> EdgeCrossings:
     """Intersect horizontal rings with polygons (eq. 10).
 
     Args:
-        polygons: (..., n, 2) vertices.
-        heights: (k, ..., m) ring heights.
+        polygons: (..., n, 2) vertices, in any unit.
+        heights: (k, ..., m) ring heights, in the same unit.
     """
     x0, y0 = (np.moveaxis(polygons[..., axis], -1, 0)[..., None] for axis in (0, 1))
     dx, dy = np.roll(x0, -1, axis=0) - x0, np.roll(y0, -1, axis=0) - y0
@@ -93,7 +93,8 @@ def cell_scores(polygons: Floats, rings: Rings, mu: float = MU) -> Floats:
     scores 0.
 
     Args:
-        polygons: (..., n, 2) vertices, turned as the rings see them, about the point that omega turns about.
+        polygons: (..., n, 2) vertices in units of the root of the area, turned as the rings see them, about the point
+            that omega turns about.
         rings: the rings.
         mu: weight of the chords.
     """

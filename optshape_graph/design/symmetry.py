@@ -42,7 +42,7 @@ def self_distances(polygon: Floats, steps: int = STEPS) -> Floats:
     """Return the relative area that a convex polygon (n, 2) uncovers when it is turned.
 
     Returns:
-        (steps / 2 + 2,) for rotations by multiples of a turn / steps, from none to just over half a turn: those
+        (K,), K = steps / 2 + 2, for rotations by multiples of a turn / steps, from none to just over half a turn: those
         by -angle leave as much uncovered.
     """
     squares = radii(centred(polygon), steps) ** 2
@@ -53,7 +53,7 @@ def self_distances(polygon: Floats, steps: int = STEPS) -> Floats:
 
 
 def radii(polygon: Floats, steps: int = STEPS) -> Floats:
-    """(steps,) distances from the origin, inside, to the outline of a convex polygon (n, 2), all round."""
+    """(steps,) distances from the origin, inside, to the outline of a convex polygon (n, 2), in its unit."""
     angles = 2 * np.pi * np.arange(steps) / steps
     along = edges(polygon)
     normals = np.column_stack([along[:, 1], -along[:, 0]])

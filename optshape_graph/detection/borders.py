@@ -33,7 +33,7 @@ def borders(sweep: Sweep, rows: Ints) -> Borders:
 
     Args:
         sweep: the scan.
-        rows: of the sweep, the returns of the surface.
+        rows: (N,) of the sweep, the returns of the surface.
     """
     segment = sweep.segment
     long = np.flatnonzero(sweep.last - sweep.first + 1 >= FEWEST_RETURNS)

@@ -57,7 +57,7 @@ def grow(sweep: Sweep, patch: Patch, reach: float) -> Candidate:
     of_patch = np.zeros(len(sweep.first), dtype=bool)
     of_patch[patch.segments] = True
     seed = of_patch[sweep.segment]
-    near = np.flatnonzero(((sweep.points - patch.centre) ** 2).sum(axis=1) < reach**2)
+    near = sweep.near(patch.centre, reach)
     member = near[seed[near]]
     for _ in range(2):
         plane = fit_plane(sweep.points[member], sweep.ring[member])

@@ -9,7 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.detection.candidates import Candidate
-from optshape_graph.detection.judge import edge_margin, judge, objection, returns_of
+from optshape_graph.detection.judge import edge_margin, judge, objection, returns_of, undoubted
 from optshape_graph.detection.results import Detection, Evidence, Rejection
 from optshape_graph.detection.runs import ring_ends
 from optshape_graph.detection.segments import Sweep
@@ -22,6 +22,10 @@ from optshape_graph.target import Target
 
 ROUNDS = 3
 """How often the returns are chosen again by the pose that they gave, at most."""
+
+
+UNLIKELY = 1e-3
+"""Probability below which a target that fits is not named as a candidate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +68,18 @@ def identify(
     rival = fits[order[1]].estimate.target if len(fits) > 1 else None
     margin = float(likelihoods[order[0]] - likelihoods[order[1]]) if len(fits) > 1 else np.inf
     status, reason = best.estimate.status, best.estimate.reason
+    share = np.exp(likelihoods[order] - np.logaddexp.reduce(likelihoods))
+    probabilities = {fits[k].estimate.target.name: float(p) for k, p in zip(order, share, strict=True)}
     if rival is not None and margin < AMBIGUITY_MARGIN:
-        status, reason = "ambiguous", f"target '{rival.name}' is only {margin:.2g} less likely (log likelihood)"
-    indices = np.sort(sweep.index[best.rows])
+        likely = ", ".join(f"'{name}' {100 * p:.2g} %" for name, p in probabilities.items() if p > UNLIKELY)
+        status, reason = "ambiguous", f"its returns do not tell the targets apart: {likely}"
+    rows = best.rows[np.argsort(sweep.index[best.rows])]
+    doubtful = ~undoubted(sweep, best.estimate, rows)
     target = best.estimate.target
-    return Detection(target, best.estimate, indices, best.evidence, rival, margin, status, reason), rejected
+    found = Detection(
+        target, best.estimate, sweep.index[rows], doubtful, best.evidence, rival, margin, probabilities, status, reason
+    )
+    return found, rejected
 
 
 def rejection(candidate: Candidate, reason: str, target: str = "") -> Rejection:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.detection.borders import borders
 from optshape_graph.detection.results import Evidence
 from optshape_graph.detection.segments import Sweep
@@ -16,6 +16,10 @@ MIN_CONTAINED, MIN_COVERED, MIN_EDGED, MIN_SOLID, MIN_FREE, MIN_STEPPED = 0.8, 0
 
 RIM = 0.4
 """Width of the rim beside a target that is looked at, in parts of the distance from its origin to its outline."""
+
+
+CENTRAL = 1.96
+"""Standard deviations about the plane within which 95 % of the returns lie."""
 
 
 def edge_margin(sweep: Sweep, estimate: PoseEstimate) -> float:
@@ -30,10 +34,27 @@ def edge_margin(sweep: Sweep, estimate: PoseEstimate) -> float:
 
 
 def returns_of(sweep: Sweep, estimate: PoseEstimate, margin: float) -> Ints:
-    """Rows of the sweep that are returns of a target: in its plane, and inside its outline or `margin` outside."""
+    """(N,) rows of the sweep that are a target's returns: in its plane, inside its outline or `margin` outside."""
     rows, yz, behind = _rays_near(sweep, estimate, estimate.target.circumradius + margin)
     on = np.abs(behind) <= _band(sweep, estimate)
     return np.asarray(rows[on & estimate.target.contains(yz, margin)])
+
+
+def undoubted(sweep: Sweep, estimate: PoseEstimate, rows: Ints) -> Bools:
+    """(N,) which of a target's returns (N,) are its own whoever looks: well inside its outline, and close to its plane.
+
+    A return from the rim may owe part of its light to what is behind, and the outline's place has an error; so inside
+    is more than a standard deviation of the position within it. Close to the plane are all but the outermost 5 %.
+    """
+    T = estimate.T_target_lidar
+    points = sweep.points[rows]
+    normal, distance = estimate.plane[:3], -estimate.plane[3]
+    on_plane = points * (distance / (points @ normal))[:, None]
+    yz = (on_plane @ T[:3, :3].T + T[:3, 3])[:, 1:]
+    error = float(np.sqrt(np.linalg.eigvalsh(estimate.covariance[4:, 4:])[-1]))
+    inset = min(error, 0.1 * float(estimate.target.offsets.min()))
+    behind = points @ normal - distance
+    return np.asarray(estimate.target.contains(yz, -inset) & (np.abs(behind) <= CENTRAL * estimate.plane_rms))
 
 
 def judge(sweep: Sweep, connected: Ints, own: Ints, estimate: PoseEstimate, margin: float) -> Evidence:
@@ -41,8 +62,8 @@ def judge(sweep: Sweep, connected: Ints, own: Ints, estimate: PoseEstimate, marg
 
     Args:
         sweep: the scan.
-        connected: rows of the sweep, the connected returns in the target's plane.
-        own: rows of the sweep, the target's returns.
+        connected: (N,) rows of the sweep, the connected returns in the target's plane.
+        own: (M,) rows of the sweep, the target's returns.
         estimate: the pose.
         margin: metres about the outline within which a ray may be on either side.
     """

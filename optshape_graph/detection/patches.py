@@ -33,7 +33,7 @@ class Patch:
     """Ring segments in one plane, connected.
 
     Attributes:
-        segments: rows of the sweep's segments.
+        segments: (S,) rows of the sweep's segments.
         centre: (3,) mean of their returns, LiDAR frame, metres.
         normal: (3,) unit normal, away from the sensor.
         area: square metres that their beams cover in the plane.
@@ -64,8 +64,8 @@ def find_patches(sweep: Sweep, shortest: float, longest: float) -> list[Patch]:
     taken = np.flatnonzero((count >= FEWEST_RETURNS) & (chord >= shortest) & (chord <= longest))
     if len(taken) < 2:
         return []
-    moments = _moments(sweep)[taken]
     first, last = sweep.first[taken], sweep.last[taken]
+    moments = _moments(sweep, taken)
     ring, chord = sweep.ring[first], chord[taken]
     centre, covariance = _mean_and_covariance(moments)
     along = (sweep.points[last] - sweep.points[first]) / chord[:, None]
@@ -106,11 +106,14 @@ def find_patches(sweep: Sweep, shortest: float, longest: float) -> list[Patch]:
     ]
 
 
-def _moments(sweep: Sweep) -> Floats:
-    """(S, 10) number, sum and second moments of each segment's returns."""
-    x, y, z = sweep.points.T
+def _moments(sweep: Sweep, segments: Ints) -> Floats:
+    """(S, 10) number, sum and second moments of the returns of some segments."""
+    count = sweep.last[segments] - sweep.first[segments] + 1
+    begin = np.cumsum(count) - count
+    rows = np.arange(count.sum()) + np.repeat(sweep.first[segments] - begin, count)
+    x, y, z = sweep.points[rows].T
     columns = np.column_stack([np.ones(len(x)), x, y, z, x * x, x * y, x * z, y * y, y * z, z * z])
-    return np.asarray(np.add.reduceat(columns, sweep.first, axis=0))
+    return np.asarray(np.add.reduceat(columns, begin, axis=0))
 
 
 def _mean_and_covariance(moments: Floats) -> tuple[Floats, Floats]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph._arrays import Bools, Floats, Ints, frozen
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.target import Target
 
@@ -46,10 +47,14 @@ class Detection:
     Attributes:
         target: which one.
         estimate: its pose, from these returns.
-        indices: (K,) rows of the scan that are its returns.
+        indices: (K,) rows of the scan that are its returns, those at its rim and of much noise included: the pose's.
+        doubtful: (K,) whether each might be taken for something else: outside the outline or within a standard
+            deviation of it, or among the 5 % furthest from the plane.
         evidence: for it.
         rival: the next likely of the targets asked for, where one fits as well; else None.
         margin: difference of log likelihoods to the rival; infinite where there is none.
+        probabilities: by name, of each of the targets asked for that fits, had all been as likely before; the likeliest
+            first. They sum to 1: that it is one of them is what `evidence` is for.
         status: "ok"; "ambiguous" where another of the targets, or another pose of this one, is not ruled out; "failed"
             where the target is there, but its returns leave its pose undetermined.
         reason: why not "ok", else empty.
@@ -58,14 +63,17 @@ class Detection:
     target: Target
     estimate: PoseEstimate
     indices: Ints
+    doubtful: Bools
     evidence: Evidence
     rival: Target | None
     margin: float
+    probabilities: Mapping[str, float]
     status: str
     reason: str
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "indices", frozen(self.indices, np.int64))
+        object.__setattr__(self, "doubtful", frozen(self.doubtful, np.bool_))
 
     @property
     def score(self) -> float:

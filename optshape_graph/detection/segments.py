@@ -25,6 +25,9 @@ JUMP_SIGMAS = 4.0
 BAND_SIGMAS = 2.5
 """Distance from a plane, in standard deviations, to which a return is taken for one of its own."""
 
+TURNS = (-2 * np.pi, 0.0, 2 * np.pi)
+"""What an azimuth near the seam of the circle may be off by."""
+
 FLATNESS = 0.005
 """How far a target departs from a plane, and an estimate of the plane from it, standard deviation, metres."""
 
@@ -88,6 +91,28 @@ class Sweep:
         return np.repeat(np.arange(len(self.first)), self.last - self.first + 1)
 
     @cached_property
+    def _positions(self) -> Floats:
+        """(N,) ascending: by ring, then azimuth."""
+        return _position(self.ring, self.azimuth)
+
+    def near(self, centre: Floats, reach: float) -> Ints:
+        """Return the rows of the returns within `reach` of a point (3,), metres, ascending.
+
+        Each ring is searched only where the point can be reached.
+        """
+        away = float(np.hypot(centre[0], centre[1]))
+        rows = np.arange(len(self))
+        if reach < away:
+            middle, half = np.arctan2(centre[1], centre[0]), np.arcsin(reach / away) + 1e-9
+            windows = [np.clip([middle - half + turn, middle + half + turn], -np.pi, np.pi) for turn in TURNS]
+            ends = np.array([window for window in windows if window[0] < window[1]])
+            places = _position(np.arange(len(self.elevations))[:, None, None], ends)
+            first = np.searchsorted(self._positions, places[..., 0].ravel(), "left")
+            last = np.searchsorted(self._positions, places[..., 1].ravel(), "right")
+            rows = np.concatenate([rows[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)])
+        return np.asarray(rows[((self.points[rows] - centre) ** 2).sum(axis=1) < reach**2])
+
+    @cached_property
     def ring_heights(self) -> Floats:
         """(R,) elevation that each ring stands for, rad: half way to the next on either side."""
         return np.asarray(np.gradient(self.elevations))
@@ -110,13 +135,20 @@ def sweep(scan: Scan) -> Sweep:
     if len(scan) == 0 or scan.ring.min() == scan.ring.max():
         raise EstimationError(f"{scan.name}: returns on {min(len(scan), 1)} rings; a target needs several")
     azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
-    order = np.argsort(scan.ring * 8.0 + azimuth, kind="stable")  # a ring spans less than 8 rad
+    # Sorted by ring, whose numbers are small, what is left is runs in order already: both sorts are linear.
+    by_ring = np.argsort(scan.ring.astype(np.uint16), kind="stable")
+    order = by_ring[np.argsort(_position(scan.ring, azimuth)[by_ring], kind="stable")]
     points, ring, azimuth = scan.points[order], scan.ring[order], azimuth[order]
     ranges = np.sqrt((points * points).sum(axis=1))
     resolution = _resolution(scan, azimuth, ring)
     starts = _starts(ring, azimuth, ranges, resolution)
     elevations = scan.sensor.elevations if scan.sensor is not None else _elevations(points, ranges, ring)
     return Sweep(order, points, ring, azimuth, ranges, np.flatnonzero(starts), elevations, resolution)
+
+
+def _position(ring: Ints, azimuth: Floats) -> Floats:
+    """Numbers that grow along each ring and from ring to ring, which spans less than 8 rad."""
+    return np.asarray(ring * 8.0 + azimuth)
 
 
 def _elevations(points: Floats, ranges: Floats, ring: Ints) -> Floats:
@@ -146,19 +178,19 @@ def _starts(ring: Ints, azimuth: Floats, ranges: Floats, resolution: Resolution)
     gap, jump = np.diff(azimuth, prepend=azimuth[:1]), np.diff(ranges, prepend=ranges[:1])
     apart = (np.diff(ring, prepend=ring[:1] - 1) != 0) | (gap > LONGEST_GAP * resolution.step)
     run = np.cumsum(apart)
-    row = np.arange(n)
     off_line = np.full(n, np.inf)
-    for near, far in ((row - 1, row - 3), (row, row + 2)):
-        there = (far >= 0) & (far < n) & ~apart
-        near, far = near.clip(0, n - 1), far.clip(0, n - 1)
+    before = slice(3, n), slice(2, n - 1), slice(0, max(n - 3, 0)), 1.0
+    after = slice(0, max(n - 2, 0)), slice(0, max(n - 2, 0)), slice(2, n), -1.0
+    for at, near, far, way in (before, after):
         span = np.abs(azimuth[near] - azimuth[far])
-        there &= (run[far] == run) & (span > 0.5 * resolution.step)
+        there = ~apart[at] & (run[far] == run[near]) & (span > 0.5 * resolution.step)
         span = np.where(there, span, 1.0)
-        slope = np.where(near > far, 1.0, -1.0) * (ranges[near] - ranges[far]) / span
-        slope = np.clip(slope, -steepest * ranges, steepest * ranges)
-        q = gap / span
+        steep = steepest * ranges[at]
+        slope = np.clip(way * (ranges[near] - ranges[far]) / span, -steep, steep)
+        q = gap[at] / span
         sigma = resolution.range_noise * np.sqrt(1.0 + (1.0 + q) ** 2 + q**2)
-        off_line = np.minimum(off_line, np.where(there, np.abs(jump - slope * gap) / sigma, np.inf))
+        off = np.where(there, np.abs(jump[at] - slope * gap[at]) / sigma, np.inf)
+        off_line[at] = np.minimum(off_line[at], off)
     short = np.isinf(off_line)
     off_line[short] = np.abs(jump[short]) / (np.sqrt(2.0) * resolution.range_noise)
     return np.asarray(apart | (off_line > JUMP_SIGMAS))

@@ -79,7 +79,7 @@ def run_tasks(
         with _parallel(workers, dask) as (parallel, delayed):
             work = _OneThread(function)
             for number, rows in parallel(delayed(work)(number, tasks[number]) for number in todo):
-                write_json(_path(folder, number), {"task": number, "rows": rows})
+                write_json(_path(folder, number), {"schema": "optshape/sweep-task/1", "task": number, "rows": rows})
                 finished += 1
                 if progress is not None:
                     progress(finished, len(tasks))
@@ -119,7 +119,8 @@ def _claim(folder: Path, describe: Mapping[str, Any]) -> None:
             raise InputError(f"{folder}: holds finished tasks, but no sweep.json that says of what")
         write_json(manifest, document)
         return
-    found = read_json(manifest).value.get("digest")
+    found = read_json(manifest).value
+    found = found.get("digest") if isinstance(found, dict) else None
     if found != document["digest"]:
         raise InputError(
             f"{manifest}: the folder holds another sweep (digest {found}, this one {document['digest']}); "

@@ -120,7 +120,7 @@ def normalised_error(target: Target, T_estimated: Floats, covariance: Floats, T_
 
 
 def vertex_jacobian(target: Target) -> Floats:
-    """(n, 3, 6) derivative of the vertices, target frame, by a right perturbation (omega, u): omega x v + u."""
+    """(n, 3, 6) derivative of the vertices, metres, target frame, by a right perturbation (omega, u): omega x v + u."""
     return np.array([np.hstack([np.cross(np.eye(3), v).T, np.eye(3)]) for v in target.vertices])
 
 

@@ -11,7 +11,19 @@ from typing import NamedTuple
 
 
 class PublishedRow(NamedTuple):
-    """One line of a table: metres, percent, degrees."""
+    """One line of a table.
+
+    Attributes:
+        orientation: "face" or "extreme".
+        distance_m: of the target, metres.
+        n_points: returns on it.
+        e_q_m: quantisation error, metres.
+        rmse_m: of the vertices, metres.
+        rmse_pct: in percent of the distance.
+        e_t_m: translation error, metres.
+        e_t_pct: in percent of the distance.
+        e_r_deg: rotation error, degrees.
+    """
 
     orientation: str
     distance_m: float

@@ -36,11 +36,16 @@ class Estimate(Protocol):
     """What the sweep reads of an estimate; `PoseEstimate` is one."""
 
     @property
-    def T_lidar_target(self) -> Floats: ...
+    def T_lidar_target(self) -> Floats:
+        """(4, 4) estimated pose."""
+
     @property
-    def covariance(self) -> Floats: ...
+    def covariance(self) -> Floats:
+        """(6, 6) of its right perturbation, rotation first."""
+
     @property
-    def status(self) -> str: ...
+    def status(self) -> str:
+        """`ok`, `ambiguous` or `failed`."""
 
 
 Estimator = Callable[[Scan, Target, str], Estimate]
@@ -63,6 +68,9 @@ class SimulationSweep:
         removed_share: share of the rings on the target to leave out.
         removal: which: drawn, or from one side.
         seed: from which every scan's own seed is spawned.
+
+    Raises:
+        InputError: no draw, a share out of [0, 1), an unknown noise level, or a distance that is not above 0.
     """
 
     target: Target

@@ -42,7 +42,7 @@ class ErrorStatistics:
 
     @classmethod
     def of(cls, errors: Floats) -> ErrorStatistics:
-        """Summarise errors (N,).
+        """Summarise errors (N,), in any unit.
 
         Raises:
             InputError: there are none.
@@ -131,7 +131,11 @@ def align(estimated: Floats, true: Floats) -> Floats:
 
 
 def absolute_error(estimated: Floats, true: Floats, aligned: bool = True) -> AbsoluteError:
-    """Compare poses (N, 4, 4) with the true ones, after the best rigid alignment or as they are."""
+    """Compare poses (N, 4, 4) with the true ones, after the best rigid alignment or as they are.
+
+    Raises:
+        InputError: no poses, or another number of them than of true ones.
+    """
     _check(estimated, true)
     T = align(estimated, true) if aligned else np.eye(4)
     difference = inverse(true) @ (T @ estimated)
@@ -225,14 +229,22 @@ class Consistency:
 
 
 def pose_nees(estimated: Floats, true: Floats, covariance: Floats) -> Floats:
-    """Return the normalised errors squared (N,) of poses (N, 4, 4) with covariances (N, 6, 6), right perturbations."""
+    """Return the normalised errors squared (N,) of poses (N, 4, 4) with covariances (N, 6, 6), right perturbations.
+
+    Raises:
+        InputError: no poses, or another number of them than of true ones.
+    """
     _check(estimated, true)
     xi = np.array([gtsam.Pose3.Logmap(gtsam.Pose3(T)) for T in inverse(estimated) @ true])
     return np.asarray(np.einsum("ni,ni->n", xi, np.linalg.solve(covariance, xi[..., None])[..., 0]))
 
 
 def consistency_of(nees: Floats, dof: int = 6) -> Consistency:
-    """Summarise normalised errors squared (N,) of some degrees of freedom each."""
+    """Summarise normalised errors squared (N,) of some degrees of freedom each.
+
+    Raises:
+        InputError: there are none.
+    """
     n = len(nees)
     if not n:
         raise InputError("no normalised errors to summarise")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from functools import cache
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -12,11 +15,12 @@ from optshape_graph.errors import InputError
 def checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
     """Return `values` as floats, or raise an InputError; -1 in `shape` stands for any length."""
     array = np.asarray(values, dtype=float)
-    fits = array.ndim == len(shape) and all(s in (-1, a) for a, s in zip(array.shape, shape, strict=True))
-    if not fits:
+    found = array.shape
+    if found != shape and (len(found) != len(shape) or any(s not in (-1, a) for a, s in zip(found, shape, strict=True))):
         expected = " x ".join("N" if s == -1 else str(s) for s in shape)
-        raise InputError(f"{name}: expected {expected}, found shape {array.shape}")
-    if not np.isfinite(array).all():
+        raise InputError(f"{name}: expected {expected}, found shape {found}")
+    # A sum of squares is finite if all numbers are, unless it overflows.
+    if not math.isfinite(np.vdot(array, array)) and not np.isfinite(array).all():
         raise InputError(f"{name}: {int((~np.isfinite(array)).sum())} of {array.size} values are not finite")
     return array
 
@@ -31,10 +35,22 @@ def triangular(stack: Floats) -> Floats:
     block = 8 * n
     while len(stack) > 2 * block:
         whole = len(stack) // block * block
-        blocks = np.linalg.qr(stack[:whole].reshape(-1, block, n), mode="r")
-        stack = np.vstack([np.reshape(blocks, (-1, n)), stack[whole:]])
-    R = np.asarray(np.linalg.qr(stack, mode="r")) if len(stack) else stack
-    return np.vstack([R, np.zeros((n - len(R), n))])
+        blocks = factored(stack[:whole].reshape(-1, block, n))
+        stack = np.vstack([blocks.reshape(-1, n), stack[whole:]])
+    R = factored(stack) if len(stack) else stack
+    return R if len(R) == n else np.vstack([R, np.zeros((n - len(R), n))])
+
+
+def factored(stacks: Floats) -> Floats:
+    """Return the factors R (..., min(m, n), n) of the QR decompositions of stacks (..., m, n)."""
+    packed, _ = np.linalg.qr(stacks, mode="raw")  # transposed, with the reflections below the diagonal
+    k, n = min(stacks.shape[-2:]), stacks.shape[-1]
+    return np.asarray(np.swapaxes(packed, -1, -2)[..., :k, :] * _triangle(n)[:k])
+
+
+@cache
+def _triangle(n: int) -> Floats:
+    return np.triu(np.ones((n, n)))
 
 
 def outer_rows(directions: Floats, normals: Floats) -> Floats:

@@ -36,7 +36,7 @@ def azimuth_directions(points: ArrayLike, outward: ArrayLike) -> Floats:
 
     Args:
         points: (N, 3) edge points, metres, LiDAR frame, rings turning about z.
-        outward: (N,) +1 where growing azimuth leads off the target, -1 where shrinking azimuth does.
+        outward: (N,) the number +1 where growing azimuth leads off the target, -1 where shrinking azimuth does.
     """
     p = checked("points", points, (-1, 3))
     sign = checked("outward", outward, (len(p),))
@@ -150,6 +150,9 @@ def SensorParameterFactor(
         measurement: with k parameters.
         k_pose: key of T_target_lidar, or keys of T_world_target and T_world_lidar.
         k_parameters: keys of the k parameters, each a `double` variable.
+
+    Raises:
+        InputError: another number of keys than of parameters.
     """
     poses = (k_pose,) if isinstance(k_pose, int) else k_pose
     if len(k_parameters) != measurement.n_parameters:

@@ -38,7 +38,8 @@ def edge_rows(points: ArrayLike, normals: ArrayLike, offsets: ArrayLike) -> tupl
         InputError: shapes that do not fit, or values that are not finite.
     """
     p = checked("points", points, (-1, 3))
-    return template_rows(p, in_plane(checked("normals", normals, (len(p), 2))), offsets)
+    n = checked("normals", normals, (len(p), 2))
+    return _rows(p, in_plane(n)), -checked("offsets", offsets, (len(p),))
 
 
 def template_rows(points: ArrayLike, directions: ArrayLike, offsets: ArrayLike) -> tuple[Floats, Floats]:
@@ -58,7 +59,14 @@ def template_rows(points: ArrayLike, directions: ArrayLike, offsets: ArrayLike) 
     """
     p = checked("points", points, (-1, 3))
     m = checked("directions", directions, (len(p), 3))
-    return np.hstack([outer_rows(p, m), m]), -checked("offsets", offsets, (len(p),))
+    return _rows(p, m), -checked("offsets", offsets, (len(p),))
+
+
+def _rows(points: Floats, directions: Floats) -> Floats:
+    """Return the rows (N, 12) of m . (R p + t)."""
+    rows = np.empty((len(points), 12))
+    rows[:, :9], rows[:, 9:] = outer_rows(points, directions), directions
+    return rows
 
 
 def plane_rows(points: ArrayLike) -> tuple[Floats, Floats]:
@@ -88,8 +96,8 @@ class TemplateMeasurement:
     errors are independent add up (`+`). Scans of a static scene share the bias of their rings: see `fuse_static`.
 
     Attributes:
-        L: (12, 12) upper triangular.
-        b: (12,).
+        L: (12, 12) upper triangular, whitened.
+        b: (12,) whitened.
         c: what remains at the best z, even where that is not a rigid transform.
         n_rows: number of scalar residuals it was made of: its degrees of freedom are these, not 12.
         T_target_lidar: (4, 4) pose it was taken at: where it is summarised unless another is given.
@@ -106,7 +114,7 @@ class TemplateMeasurement:
 
     def __post_init__(self) -> None:
         for field, shape in (("L", (12, 12)), ("b", (12,)), ("T_target_lidar", (4, 4))):
-            object.__setattr__(self, field, frozen(checked(f"measurement {field}", getattr(self, field), shape)))
+            object.__setattr__(self, field, frozen(checked(field, getattr(self, field), shape)))
         if not np.isfinite(self.c):
             raise InputError(f"measurement c is {self.c}; expected a finite number")
 
@@ -125,6 +133,39 @@ class TemplateMeasurement:
         rows = checked("rows", A, (-1, 12))
         constants = checked("constants", r, (len(rows),))
         return cls.from_stack(np.column_stack([rows, constants]), len(rows), T_target_lidar)
+
+    @classmethod
+    def from_edge_points(
+        cls,
+        points: ArrayLike,
+        normals: ArrayLike,
+        offsets: ArrayLike,
+        sigma: float,
+        plane_sigma: float,
+        T_target_lidar: ArrayLike,
+    ) -> TemplateMeasurement:
+        """Compress edge points of one accuracy, each on its edge and on the target's plane.
+
+        Args:
+            points: (N, 3) edge points, metres, LiDAR frame.
+            normals: (N, 2) outward unit normal of each point's edge, (y, z) of the target frame.
+            offsets: (N,) offset of each point's edge, metres.
+            sigma: standard deviation across the edge, metres.
+            plane_sigma: standard deviation across the plane, metres.
+            T_target_lidar: (4, 4) pose the measurement is taken at.
+
+        Raises:
+            InputError: shapes that do not fit, or values that are not finite.
+        """
+        p = checked("points", points, (-1, 3))
+        n = checked("normals", normals, (len(p), 2))
+        across = np.zeros((2 * len(p), 3))  # directions of the target frame: of the edges, then of the plane
+        across[: len(p), 1:], across[len(p) :, 0] = n / sigma, 1.0 / plane_sigma
+        stack = np.zeros((len(across), 13))
+        stack[:, :9] = outer_rows(np.concatenate([p, p]), across)
+        stack[:, 9:12] = across
+        stack[: len(p), 12] = checked("offsets", offsets, (len(p),)) / -sigma
+        return cls.from_stack(stack, len(stack), T_target_lidar)
 
     @classmethod
     def from_stack(cls, stack: Floats, n_rows: int, T_target_lidar: ArrayLike) -> TemplateMeasurement:
@@ -158,10 +199,7 @@ class TemplateMeasurement:
         """
         A = np.asarray(T_target_a, float)
         B = np.eye(4) if T_b_lidar is None else np.asarray(T_b_lidar, float)
-        # Columns of the upper 3 x 4 of A T B: R_A [R t] B + t_A e_4^T.
-        M = np.eye(13)
-        M[:12, :12] = np.kron(B.T, A[:3, :3])
-        M[9:12, 12] = A[:3, 3]
+        M = substitution(A, B)
         return self.from_stack(self.stack @ M, self.n_rows, inverse(A) @ self.T_target_lidar @ inverse(B))
 
     def residual(self, T_target_lidar: ArrayLike) -> Floats:
@@ -191,5 +229,16 @@ class TemplateMeasurement:
         return J.T @ J
 
     def quadratic(self) -> Floats:
-        """Return Q (13, 13) with error = 1/2 [z; 1]^T Q [z; 1]."""
+        """Return the matrix Q (13, 13) with error = 1/2 [z; 1]^T Q [z; 1]."""
         return self.stack.T @ self.stack
+
+
+def substitution(T_target_a: ArrayLike, T_b_lidar: ArrayLike | None = None) -> Floats:
+    """Return the matrix (13, 13) that takes [z; 1] of T_a_b to that of T_target_lidar = T_target_a T_a_b T_b_lidar."""
+    A = np.asarray(T_target_a, float)
+    B = np.eye(4) if T_b_lidar is None else np.asarray(T_b_lidar, float)
+    # Columns of the upper 3 x 4 of A T B: R_A [R t] B + t_A e_4^T.
+    M = np.eye(13)
+    M[:12, :12] = np.kron(B.T, A[:3, :3])
+    M[9:12, 12] = A[:3, 3]
+    return M

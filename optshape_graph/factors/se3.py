@@ -12,7 +12,7 @@ from optshape_graph._arrays import Floats
 
 
 def skew(v: Floats) -> Floats:
-    """Return the cross-product matrices (..., 3, 3) of vectors (..., 3)."""
+    """Return the cross-product matrices (..., 3, 3) of vectors (..., 3), in their unit."""
     S = np.zeros((*v.shape[:-1], 3, 3))
     S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
     S[..., 1, 0], S[..., 2, 0], S[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
@@ -36,11 +36,12 @@ def vec(T: Floats) -> Floats:
 
 def vec_derivative(T: Floats) -> Floats:
     """Return the derivative (..., 12, 6) of z by a right perturbation: column j of R [w]x is -R [e_j]x w."""
-    R = T[..., :3, :3]
+    x, y, z = T[..., :3, 0], T[..., :3, 1], T[..., :3, 2]
     D = np.zeros((*T.shape[:-2], 12, 6))
-    for j in range(3):
-        D[..., 3 * j : 3 * j + 3, :3] = -R @ skew(np.eye(3)[j])
-    D[..., 9:, 3:] = R
+    D[..., 0:3, 1], D[..., 0:3, 2] = -z, y  # R [e_x]x = [0, z, -y], and so on
+    D[..., 3:6, 0], D[..., 3:6, 2] = z, -x
+    D[..., 6:9, 0], D[..., 6:9, 1] = -y, x
+    D[..., 9:, 3:] = T[..., :3, :3]
     return D
 
 

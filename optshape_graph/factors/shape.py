@@ -30,12 +30,15 @@ RIGID_SIGMA_M = 1e-4
 
 
 def shape_rows(points: ArrayLike, edges: ArrayLike, n_edges: int) -> Floats:
-    """Return the rows (N, 4 (n + 1)) of points on edges, or on the plane, metres, unweighted.
+    """Return the rows (N, 4 n + 4) of points on edges, or on the plane, metres, unweighted.
 
     Args:
         points: (N, 3) metres, LiDAR frame.
         edges: (N,) edge of each point; n_edges where the point is one of the target's plane.
         n_edges: n, number of the template's edges.
+
+    Raises:
+        InputError: shapes that do not fit, values that are not finite, or an edge that the template does not have.
     """
     p = checked("points", points, (-1, 3))
     k = checked("edges", edges, (len(p),)).astype(int)
@@ -51,9 +54,12 @@ class ShapeMeasurement:
     """The cost 1/2 ||U g||^2 of one target of unknown shape in one scan, g the planes H^T pi_k stacked.
 
     Attributes:
-        U: (4 (n + 1), 4 (n + 1)) upper triangular.
+        U: (4 n + 4, 4 n + 4) upper triangular, whitened.
         n_rows: number of scalar residuals it was made of.
         T_target_lidar: (4, 4) pose it was taken at.
+
+    Raises:
+        InputError: shapes that do not fit, or values that are not finite.
     """
 
     U: Floats
@@ -69,7 +75,10 @@ class ShapeMeasurement:
 
     @classmethod
     def from_rows(cls, rows: ArrayLike, T_target_lidar: ArrayLike) -> ShapeMeasurement:
-        """Compress whitened rows (m, 4 (n + 1)): those of `shape_rows`, times any whitening matrix on the left."""
+        """Compress whitened rows (m, 4 n + 4), taken at a pose (4, 4).
+
+        They are those of `shape_rows`, times any whitening matrix on the left.
+        """
         stack = np.asarray(rows, float)
         checked("shape rows", stack, (-1, stack.shape[-1]))
         return cls(triangular(stack), len(stack), np.asarray(T_target_lidar, float))
@@ -80,12 +89,16 @@ class ShapeMeasurement:
         return len(self.U) // 4 - 1
 
     def residual(self, T_target_lidar: ArrayLike, vertices: ArrayLike) -> Floats:
-        """Return U g (4 (n + 1),) at a pose (4, 4) and vertices (n, 3), metres, target frame."""
+        """Return U g (4 n + 4,) at a pose (4, 4) and vertices (n, 3), metres, target frame."""
         planes, _ = _planes(checked("vertices", vertices, (self.n_edges, 3)))
         return np.asarray(self.U @ (planes @ np.asarray(T_target_lidar, float)).ravel())
 
     def jacobians(self, T_target_lidar: ArrayLike, vertices: ArrayLike) -> tuple[Floats, Floats]:
-        """Return the derivatives by a right perturbation of the pose (., 6) and by each vertex (n, ., 3)."""
+        """Return the derivatives of U g at a pose (4, 4) and vertices (n, 3), metres, target frame.
+
+        Returns:
+            By a right perturbation of the pose (., 6), rotation first; and by each vertex (n, ., 3), 1/m.
+        """
         H, n = np.asarray(T_target_lidar, float), self.n_edges
         planes, derivative = _planes(checked("vertices", vertices, (n, 3)))
         g = planes @ H
@@ -96,11 +109,11 @@ class ShapeMeasurement:
         return self.U @ by_pose.reshape(-1, 6), self.U @ by_vertex
 
     def error(self, T_target_lidar: ArrayLike, vertices: ArrayLike) -> float:
-        """Return half the sum of the squared whitened rows."""
+        """Return half the sum of the squared whitened rows at a pose (4, 4) and vertices (n, 3), metres, target frame."""
         return 0.5 * float(np.square(self.residual(T_target_lidar, vertices)).sum())
 
     def of_template(self, vertices: ArrayLike) -> TemplateMeasurement:
-        """Return the measurement that is left when the vertices (n, 3) are known: linear in z again."""
+        """Return what is left when the vertices (n, 3), metres, target frame, are known: linear in z again."""
         planes, _ = _planes(checked("vertices", vertices, (self.n_edges, 3)))
         M = np.zeros((len(planes), 4, 13))
         for j in range(3):
@@ -120,6 +133,9 @@ def ShapeFactor(
         measurement: of n edges.
         k_pose: key of T_target_lidar, or keys of T_world_target and T_world_lidar.
         k_vertices: keys of the n vertices, Point3 of the target frame, counter-clockwise seen from +x.
+
+    Raises:
+        InputError: another number of keys than of edges.
     """
     poses = (k_pose,) if isinstance(k_pose, int) else k_pose
     if len(k_vertices) != measurement.n_edges:
@@ -156,6 +172,9 @@ def VertexFactor(vertex: ArrayLike, k_target: int, k_vertex: int) -> gtsam.Beari
         vertex: (3,) template vertex, metres, target frame.
         k_target: key of T_world_target.
         k_vertex: key of the vertex in the world frame.
+
+    Raises:
+        InputError: a vertex at the target's origin.
     """
     v = checked("vertex", vertex, (3,))
     reach = float(np.linalg.norm(v))

@@ -26,7 +26,8 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, triangular
-from optshape_graph.factors.measurement import TemplateMeasurement
+from optshape_graph.factors.measurement import TemplateMeasurement, substitution
+from optshape_graph.factors.se3 import inverse
 
 
 def ring_bias_columns(
@@ -37,9 +38,12 @@ def ring_bias_columns(
     Args:
         points: (N, 3) metres, LiDAR frame; a biased range moves a point along its ray.
         normals: (N, 3) n of each row, target frame: (0, edge normal), or (1, 0, 0) for a row of the plane.
-        ring: (N,) ring of each point, 0 to R - 1.
+        ring: (N,) index of each point's ring, 0 to R - 1.
         n_rings: R, number of rings of the sensor.
         T_target_lidar: (4, 4) where the rows are linearised.
+
+    Raises:
+        InputError: shapes that do not fit, values that are not finite, or a ring that the sensor does not have.
     """
     p = checked("points", points, (-1, 3))
     n = checked("normals", normals, (len(p), 3))
@@ -60,10 +64,13 @@ class BiasedMeasurement:
     the same error, so scans need not have hit the target with the same rings.
 
     Attributes:
-        stack: (n, n) S, upper triangular, n = k + 13.
+        stack: (n, n) S, whitened, upper triangular, n = k + 13.
         n_rows: number of scalar residuals it was made of.
         T_target_lidar: (4, 4) pose at which the columns of beta were linearised.
         shared: (k,) names of the shared errors, in the order of their columns, such as "ring 7".
+
+    Raises:
+        InputError: shapes that do not fit, values that are not finite, or a name twice.
     """
 
     stack: Floats
@@ -92,9 +99,12 @@ class BiasedMeasurement:
         Args:
             A: (m, 12) rows.
             B: (m, k) columns of the shared errors, such as `ring_bias_columns`, whitened as A is.
-            r: (m,) constants.
+            r: (m,) constants, whitened as A is.
             T_target_lidar: (4, 4) pose of linearisation.
             shared: (k,) names of the shared errors; None: "ring 0", "ring 1", ..., a column for every ring.
+
+        Raises:
+            InputError: shapes that do not fit, values that are not finite, or a name twice.
         """
         rows = checked("rows", A, (-1, 12))
         columns = checked("bias columns", B, (len(rows), -1))
@@ -117,11 +127,37 @@ class BiasedMeasurement:
         stack[:, len(names) :] = self.stack[:, k:]
         return stack
 
+    def without(self, names: Sequence[str]) -> BiasedMeasurement:
+        """Return the measurement with some errors marginalised, each in units of its standard deviation.
+
+        Args:
+            names: of errors that scans do not share after all; those that are not in it do not matter.
+        """
+        gone = [i for i, name in enumerate(self.shared) if name in names]
+        kept = [i for i, name in enumerate(self.shared) if name not in names]
+        g, k = len(gone), len(self.shared)
+        ordered = self.stack[:, [*gone, *kept, *range(k, k + 13)]]
+        R = triangular(np.vstack([np.eye(g, k + 13), ordered]))
+        left = tuple(self.shared[i] for i in kept)
+        return BiasedMeasurement(R[g:, g:], self.n_rows, self.T_target_lidar, left)
+
+    def substituted(self, T_target_a: ArrayLike, T_b_lidar: ArrayLike | None = None) -> BiasedMeasurement:
+        """Return the measurement as one of T_a_b; see `TemplateMeasurement.substituted`."""
+        k = len(self.shared)
+        M = np.eye(k + 13)
+        M[k:, k:] = substitution(T_target_a, T_b_lidar)
+        A, B = np.asarray(T_target_a, float), np.eye(4) if T_b_lidar is None else np.asarray(T_b_lidar, float)
+        pose = inverse(A) @ self.T_target_lidar @ inverse(B)
+        return BiasedMeasurement(triangular(self.stack @ M), self.n_rows, pose, self.shared)
+
     def marginal(self, sigma: ArrayLike) -> TemplateMeasurement:
         """Return the measurement of the pose alone, beta marginalised under its prior.
 
         Args:
             sigma: standard deviation of the shared errors, one for all or (k,), in beta's units; 0: none.
+
+        Raises:
+            InputError: a standard deviation that is negative or not finite.
         """
         k = len(self.shared)
         sigmas = np.broadcast_to(np.asarray(sigma, float), (k,))

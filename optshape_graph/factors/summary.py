@@ -9,6 +9,7 @@ a solution at which the summaries made there leave no step is a solution of the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats
 from optshape_graph.factors._noise import gaussian
+from optshape_graph.factors._rows import factored
 from optshape_graph.factors.measurement import TemplateMeasurement
 from optshape_graph.factors.se3 import adjoint, inverse, vec, vec_derivative
 
@@ -43,6 +45,11 @@ class Summary:
     sqrt_information: Floats
     floor: float
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether its factor has a residual and a derivative everywhere."""
+        return math.isfinite(np.vdot(self.sqrt_information, self.sqrt_information) + self.T_target_lidar.sum())
+
     def factor(
         self, k_target: int, k_lidar: int, loss: gtsam.noiseModel.mEstimator.Base | None = None
     ) -> gtsam.BetweenFactorPose3:
@@ -66,6 +73,62 @@ class Summary:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Gauss-Newton models 1/2 ||R xi + d||^2 + floor of m measurements, xi the right perturbation of T_target_lidar.
+
+    Attributes:
+        measurements: that they are of.
+        T_target_lidar: (m, 4, 4) H_0, where they are linearised.
+        R: (m, 6, 6) upper triangular: the whitened derivative.
+        xi: (m, 6) their minima; d = -R xi, the whitened residual at H_0.
+        floor: (m,) what no pose takes away, to first order, the measurement's own constant apart.
+    """
+
+    measurements: Sequence[TemplateMeasurement]
+    T_target_lidar: Floats
+    R: Floats
+    xi: Floats
+    floor: Floats
+
+    @property
+    def residuals(self) -> Floats:
+        """(m, 6) d, whitened, at H_0."""
+        return np.asarray(-(self.R @ self.xi[..., None])[..., 0])
+
+    def summaries(self) -> list[Summary]:
+        """Return the measured poses; of measurements whose minimum is too far away, as linearised at their own pose."""
+        far = ~(np.square(self.xi[:, :3]).sum(axis=1) < FARTHEST_RAD**2)
+        if far.any():
+            own = np.stack([m.T_target_lidar for m in self.measurements])
+            H = np.where(far[:, None, None], own, self.T_target_lidar)
+            nearer = linearise(self.measurements, H)
+        else:
+            nearer = self
+        return [
+            Summary(
+                T @ gtsam.Pose3.Expmap(step).matrix(),
+                root @ gtsam.Pose3.ExpmapDerivative(-step),
+                float(least) + 0.5 * m.c**2,
+            )
+            for m, T, root, step, least in zip(
+                self.measurements, nearer.T_target_lidar, nearer.R, nearer.xi, nearer.floor, strict=True
+            )
+        ]
+
+
+def linearise(measurements: Sequence[TemplateMeasurement], T_target_lidar: ArrayLike | None = None) -> Linearised:
+    """Linearise measurements, all at once.
+
+    Args:
+        measurements: m measurements, one at least.
+        T_target_lidar: (m, 4, 4) poses H_0; None: where each measurement was taken.
+    """
+    H = np.array([m.T_target_lidar for m in measurements] if T_target_lidar is None else T_target_lidar, float)
+    L, b = np.array([m.L for m in measurements]), np.array([m.b for m in measurements])
+    return Linearised(measurements, H, *_gauss_newton(L, b, H))
+
+
 def summarise(measurements: Sequence[TemplateMeasurement], T_target_lidar: ArrayLike | None = None) -> list[Summary]:
     """Summarise measurements, all at once.
 
@@ -73,25 +136,7 @@ def summarise(measurements: Sequence[TemplateMeasurement], T_target_lidar: Array
         measurements: m measurements.
         T_target_lidar: (m, 4, 4) poses H_0; None: where each measurement was taken.
     """
-    if not measurements:
-        return []
-    own = np.stack([m.T_target_lidar for m in measurements])
-    H = own if T_target_lidar is None else np.asarray(T_target_lidar, float)
-    L = np.stack([m.L for m in measurements])
-    b = np.stack([m.b for m in measurements])
-    R, xi, floor = _gauss_newton(L, b, H)
-    far = ~(np.linalg.norm(xi[:, :3], axis=1) < FARTHEST_RAD)
-    if far.any():
-        H = np.where(far[:, None, None], own, H)
-        R, xi, floor = _gauss_newton(L, b, H)
-    return [
-        Summary(
-            T @ gtsam.Pose3.Expmap(step).matrix(),
-            root @ gtsam.Pose3.ExpmapDerivative(-step),
-            float(least) + 0.5 * m.c**2,
-        )
-        for m, T, root, step, least in zip(measurements, H, R, xi, floor, strict=True)
-    ]
+    return linearise(measurements, T_target_lidar).summaries() if measurements else []
 
 
 def SummaryFactor(
@@ -139,15 +184,16 @@ def _summary(measurement: TemplateMeasurement, T_target_lidar: ArrayLike | None)
 
 def _gauss_newton(L: Floats, b: Floats, H: Floats) -> tuple[Floats, Floats, Floats]:
     """Return R (m, 6, 6), the minimum xi (m, 6) of 1/2 ||L z + b||^2 linearised at H, and its value there (m,)."""
-    J = L @ vec_derivative(H)
-    e = np.einsum("mij,mj->mi", L, vec(H)) + b
-    factor = np.asarray(np.linalg.qr(np.concatenate([J, e[..., None]], axis=-1), mode="r"))
-    R, d, rest = factor[:, :6, :6].copy(), factor[:, :6, 6:], factor[:, 6, 6]
-    diagonal = np.abs(np.einsum("mii->mi", R))
+    rows = np.empty((*b.shape, 7))
+    np.matmul(L, vec_derivative(H), out=rows[..., :6])
+    rows[..., 6] = (L @ vec(H)[..., None])[..., 0] + b
+    factor = factored(rows)
+    R, d, rest = factor[:, :6, :6], factor[:, :6, 6:], factor[:, 6, 6]
+    diagonal = np.abs(factor.diagonal(axis1=1, axis2=2)[:, :6])
     full = diagonal.min(axis=1) > RANK_TOLERANCE * diagonal.max(axis=1)
+    if full.all():
+        return R, np.asarray(-np.linalg.solve(R, d)[..., 0]), 0.5 * rest**2
     xi = np.zeros(d.shape)
     xi[full] = -np.linalg.solve(R[full], d[full])
-    if not full.all():
-        xi[~full] = -np.linalg.pinv(R[~full], rcond=RANK_TOLERANCE) @ d[~full]
-    floor = 0.5 * (np.square(R @ xi + d).sum(axis=(1, 2)) + rest**2)
-    return R, xi[..., 0], floor
+    xi[~full] = -np.linalg.pinv(R[~full], rcond=RANK_TOLERANCE) @ d[~full]
+    return R, xi[..., 0], 0.5 * (np.square(R @ xi + d).sum(axis=(1, 2)) + rest**2)

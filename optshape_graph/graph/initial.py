@@ -27,8 +27,8 @@ def initialise(
 
     Args:
         observations: all measurements.
-        scans: T_world_lidar that are known or predicted.
-        targets: T_world_target that are known or predicted.
+        scans: T_world_lidar (4, 4) that are known or predicted.
+        targets: T_world_target (4, 4) that are known or predicted.
 
     Returns:
         T_world_lidar of every scan and T_world_target of every target.

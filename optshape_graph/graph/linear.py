@@ -36,7 +36,7 @@ class LinearSystem:
 
     Attributes:
         A: (m, n) sparse whitened Jacobian.
-        b: (m,).
+        b: (m,) whitened.
         columns: the columns of each variable's tangent vector, by key.
     """
 
@@ -93,7 +93,7 @@ class LinearSystem:
         return 0.5 * float(gradient @ self._factor.solve(gradient))
 
     def covariance(self, keys: Sequence[int]) -> Floats:
-        """Return the joint covariance of variables, in their order, rows and columns concatenated."""
+        """Return the joint covariance (d, d) of variables, in their order; of a pose, rotation (rad) first."""
         index = np.concatenate([np.arange(self.columns[key].start, self.columns[key].stop) for key in keys])
         unit = np.zeros((self.A.shape[1], len(index)))
         unit[index, np.arange(len(index))] = 1.0

@@ -74,7 +74,7 @@ class Observation:
         return self.measurement.T_target_lidar
 
     def nearest(self, T_target_lidar: Floats) -> Observation:
-        """Return the equivalent observation of a symmetric target whose rotation is nearest to a predicted pose.
+        """Return the equivalent observation of a symmetric target whose rotation is nearest to a predicted pose (4, 4).
 
         The target turned by S is the same target: its pose is then T_target_lidar' with T_target_lidar = S T'.
         """

@@ -115,8 +115,8 @@ def build(
         observations: the measurements, one for each pair of scan and target.
         known_lidars: T_world_lidar (4, 4) of scans whose pose is known exactly.
         known_targets: T_world_target (4, 4) of targets whose pose is known exactly.
-        predicted_lidars: T_world_lidar of scans to start from, and to choose equivalent poses by.
-        predicted_targets: T_world_target of targets to start from.
+        predicted_lidars: T_world_lidar (4, 4) of scans to start from, and to choose equivalent poses by.
+        predicted_targets: T_world_target (4, 4) of targets to start from.
 
     Raises:
         InputError: no observation, a pair that is observed twice, or a pose that is none.

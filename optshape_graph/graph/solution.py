@@ -43,7 +43,8 @@ class UnobservableDirection:
 
     Attributes:
         text: the motion, in words.
-        motion: tangent vector of each variable that moves, by the variable's name; rotation first.
+        motion: (6,) tangent vector of each pose that moves, by the variable's name; rotation (rad) first, then metres.
+            Of other variables as many components as they have.
     """
 
     text: str
@@ -84,7 +85,7 @@ class Solution:
     system: LinearSystem
 
     def covariance(self, scans: Sequence[str] = (), targets: Sequence[str] = (), keys: Sequence[int] = ()) -> Floats:
-        """Return the joint covariance of poses and other variables, in the order of the arguments.
+        """Return the joint covariance (d, d) of poses and other variables, in the order of the arguments.
 
         Poses take six rows each, the right perturbation of T_world_lidar or T_world_target, rotation first; those of
         known poses are zero.

@@ -1,9 +1,11 @@
 """Files in, files out: clouds, targets, sensors, sessions, markers, cameras. Knows the nouns only."""
 
+from optshape_graph.io.builtin import demo_folder
 from optshape_graph.io.cameras import load_camera, save_camera
 from optshape_graph.io.clouds import make_scan, read_scan, write_scan
 from optshape_graph.io.columns import Columns
 from optshape_graph.io.markers import Markers, read_markers
+from optshape_graph.io.schemas import load_schema, schema_names
 from optshape_graph.io.sensors import load_sensor, save_sensor
 from optshape_graph.io.sessions import Mocap, Session, View, load_session
 from optshape_graph.io.targets import load_target, save_target
@@ -14,7 +16,9 @@ __all__ = [
     "Mocap",
     "Session",
     "View",
+    "demo_folder",
     "load_camera",
+    "load_schema",
     "load_sensor",
     "load_session",
     "load_target",
@@ -24,5 +28,6 @@ __all__ = [
     "save_camera",
     "save_sensor",
     "save_target",
+    "schema_names",
     "write_scan",
 ]

@@ -1,4 +1,4 @@
-"""What is shipped with the package and can be named instead of giving a file: targets and sensors."""
+"""What is shipped with the package: targets and sensors, to be named instead of giving a file, and a session."""
 
 from __future__ import annotations
 
@@ -13,6 +13,11 @@ _DATA = Path(__file__).resolve().parents[1] / "data"
 def builtin_names(kind: str) -> list[str]:
     """The names of the built-in `kind` ("target" or "sensor"), in order."""
     return sorted(path.stem for path in (_DATA / f"{kind}s").glob("*.yaml"))
+
+
+def demo_folder() -> Path:
+    """Return the folder of the bundled session: scans of a target with markers, `session.yaml`, `truth.json`."""
+    return _DATA / "demo"
 
 
 def find(kind: str, name: str, folder: Path | None = None) -> Path:

@@ -125,7 +125,7 @@ def _read_kalibr(root: Node, name: str | None) -> CameraIntrinsics:
         root.fail(f"it has the cameras {', '.join(cameras)}; expected one of these names, found {name!r}")
     fields = cameras[name].fields(
         required=["camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution"],
-        optional=["rostopic", "cam_overlaps", "T_cn_cnm1", "T_cam_imu", "timeshift_cam_imu"],
+        optional=["rostopic", "cam_overlaps", "T_cn_cnm1", "T_cam_imu", "T_cam_lidar", "timeshift_cam_imu"],
     )
     fields["camera_model"].choice(["pinhole"])
     model = _KALIBR_MODELS[fields["distortion_model"].choice(list(_KALIBR_MODELS))]

@@ -23,6 +23,26 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def inside(path: Path, folder: Path, what: str) -> Path:
+    """Return a path that is in a folder, or in one of its folders, links followed.
+
+    Args:
+        path: what a file of the folder names.
+        folder: what it must not lead out of.
+        what: the folder in words, for messages.
+
+    Raises:
+        InputError: it leads out, or is no path at all.
+    """
+    try:
+        place = path.resolve()
+    except (OSError, ValueError, RuntimeError) as error:  # a NUL in the name, a loop of links
+        raise InputError(f"{str(path)!r}: not the name of a file ({error})") from error
+    if not place.is_relative_to(folder.resolve()):
+        raise InputError(f"{path}: leads out of {what} {folder}, to {place}")
+    return path
+
+
 def read_bytes(path: str | Path, largest: int = LARGEST_FILE) -> bytes:
     """Return the whole content of a file.
 

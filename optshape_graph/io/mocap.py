@@ -87,7 +87,7 @@ class MocapRecording:
         return MocapRecording(self.times, tuple(markers), self.positions[:, columns], self.rate, self.name)
 
     def at(self, times: Floats) -> Floats:
-        """(N, M, 3) positions at other times, between the frames on either side; NaN in and beside gaps.
+        """(N, M, 3) positions, metres, at other times (N,), seconds, between the frames on either side; NaN at gaps.
 
         Two frames further apart than two and a half periods are a gap of all markers.
         """
@@ -135,7 +135,11 @@ def _read_csv(path: Path) -> MocapRecording:
 
 
 def read_qualisys_tsv(path: str | Path) -> MocapRecording:
-    """Read a 3D export of Qualisys Track Manager: millimetres; a gap is three zeros, or empty, or a word."""
+    """Read a 3D export of Qualisys Track Manager: millimetres; a gap is three zeros, or empty, or a word.
+
+    Raises:
+        InputError: not such a file, or damaged.
+    """
     path = Path(path)
     rows = [row for row in _table(path, "\t") if row]
     names = next((k for k, row in enumerate(rows) if row[0].upper() == "MARKER_NAMES"), None)
@@ -159,12 +163,20 @@ def read_qualisys_tsv(path: str | Path) -> MocapRecording:
 
 
 def read_qualisys_mat(path: str | Path) -> MocapRecording:
-    """Read a MATLAB export of Qualisys Track Manager (format 5, not 7.3): millimetres; a gap is NaN."""
+    """Read a MATLAB export of Qualisys Track Manager (format 5, not 7.3): millimetres; a gap is NaN.
+
+    Raises:
+        InputError: not such a file, or damaged.
+    """
     return _read_binary("mat", Path(path))
 
 
 def read_c3d(path: str | Path) -> MocapRecording:
-    """Read a C3D file: units, rate and labels are its parameters; a gap has a negative residual."""
+    """Read a C3D file: units, rate and labels are its parameters; a gap has a negative residual.
+
+    Raises:
+        InputError: not such a file, or damaged.
+    """
     return _read_binary("c3d", Path(path))
 
 
@@ -183,6 +195,9 @@ def read_motive_csv(path: str | Path) -> MocapRecording:
     """Read a CSV export of OptiTrack Motive: units in its first line; a gap is empty.
 
     Where a marker was exported twice, measured and as its rigid body's model has it, the measured one is taken.
+
+    Raises:
+        InputError: not such a file, or damaged.
     """
     path = Path(path)
     rows = [row for row in _table(path, ",") if any(row)]
@@ -208,7 +223,11 @@ def read_motive_csv(path: str | Path) -> MocapRecording:
 
 
 def read_vicon_csv(path: str | Path) -> MocapRecording:
-    """Read the trajectories of a CSV export of Vicon Nexus: a gap is empty; frame 1 is time 0."""
+    """Read the trajectories of a CSV export of Vicon Nexus: a gap is empty; frame 1 is time 0.
+
+    Raises:
+        InputError: not such a file, or damaged.
+    """
     path = Path(path)
     rows = _table(path, ",")
     begin = next((k for k, row in enumerate(rows) if row[:1] == ["Trajectories"]), None)

@@ -57,7 +57,9 @@ def rings_of_ids(points: Floats, ids: Ints, sensor: SensorModel | None, name: st
     Raises:
         InputError: the sensor's table does not fit the elevations.
     """
-    present, inverse, counts = np.unique(ids, return_inverse=True, return_counts=True)
+    counts = np.bincount(ids)
+    present = np.flatnonzero(counts)
+    inverse, counts = np.asarray(np.cumsum(counts > 0) - 1)[ids], counts[present]
     elevation = _elevations(points)
     if not _are_level(elevation, inverse, counts):
         if sensor is not None:
@@ -78,7 +80,7 @@ def rings_of_ids(points: Floats, ids: Ints, sensor: SensorModel | None, name: st
 
 
 def rings_of_elevations(points: Floats, sensor: SensorModel, name: str) -> Ints:
-    """Recover rings from the elevations of (N, 3) points.
+    """Recover rings from the elevations of (N, 3) points, metres, LiDAR frame.
 
     Raises:
         InputError: the sensor's table does not fit the elevations.
@@ -104,7 +106,7 @@ def _elevations(points: Floats) -> Floats:
 
 def _medians(values: Floats, group: NDArray[np.intp], n: int) -> Floats:
     """(n,) median of the values of each group."""
-    order = np.argsort(group, kind="stable")
+    order = np.argsort(group.astype(np.uint16), kind="stable")  # of 16 bits: counted, not compared
     parts = np.split(values[order], np.cumsum(np.bincount(group, minlength=n))[:-1])
     return np.array([np.median(part) for part in parts])
 

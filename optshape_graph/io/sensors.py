@@ -16,6 +16,7 @@ _METRES = {
     "range_noise_m": "range_noise",
     "ring_bias_m": "ring_bias",
     "beam_aperture_m": "beam_aperture",
+    "beam_crossing_m": "beam_crossing",
     "range_resolution_m": "range_resolution",
     "min_range_m": "min_range",
     "max_range_m": "max_range",

@@ -88,7 +88,7 @@ def _read_tags(node: Node) -> Tags:
     fields = node.fields(required=["dictionary", "size", "centres"], optional=["turn_deg"])
     centres = {}
     for number, place in fields["centres"].entries().items():
-        if not number.isdecimal():
+        if not (number.isascii() and number.isdecimal()):
             place.fail(f"expected the number of a tag, found '{number}'")
         y, z = place.numbers(2)
         centres[int(number)] = (float(y), float(z))

@@ -19,6 +19,9 @@ from optshape_graph.errors import InputError
 DEEPEST = 50
 """Levels of nesting; the deepest form of this package has eight."""
 
+MOST_VALUES = 500_000
+"""Values of a document: each costs some hundred bytes. A session of ten thousand views has a tenth of that."""
+
 Key: TypeAlias = tuple[str | int, ...]
 """Keys and indices from the root of a document to a value."""
 
@@ -81,6 +84,8 @@ class _Builder:
         except yaml.MarkedYAMLError as error:
             line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
             problem = " ".join(part for part in (error.context, error.problem) if part)
+            if "nesting depth" in problem:  # libyaml's own limit, where it has one, comes before the one here
+                raise InputError(f"{self.path}{line}: nested more than {DEEPEST} levels deep") from error
             raise InputError(f"{self.path}{line}: not YAML ({problem})") from error
         except yaml.YAMLError as error:
             raise InputError(f"{self.path}: not YAML ({' '.join(str(error).split())})") from error
@@ -100,6 +105,8 @@ class _Builder:
         if (tag := getattr(event, "tag", None)) not in (None, "!"):
             self._fail(event, f"tags are not read, found '{tag}'; expected plain values")
         self.lines.setdefault(key, _line(event))
+        if len(self.lines) > MOST_VALUES:
+            self._fail(event, f"more than {MOST_VALUES} values; expected large data in other files")
         if isinstance(event, yaml.ScalarEvent):
             return self._scalar(event)
         if isinstance(event, yaml.SequenceStartEvent):

@@ -12,13 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-import gtsam
 import numpy as np
 from scipy.stats import chi2
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.factors.se3 import adjoint, inverse
-from optshape_graph.factors.summary import Summary, summarise
+from optshape_graph.factors.summary import Summary, linearise
 from optshape_graph.mapping.sighting import Sighting
 
 CONFIDENCE = 0.999
@@ -72,38 +71,32 @@ def predictions(
         T_world_lidar: (4, 4) predicted.
     """
     tried = [
-        (k, name, h, measurement, inverse(T) @ T_world_lidar)
+        (k, name, h, measurement, T)
         for k, (sighting, landmarks) in enumerate(zip(sightings, possible, strict=True))
         for name, T in landmarks.items()
         for h, measurement in enumerate(sighting.hypotheses)
     ]
     if not tried:
         return []
-    H = np.stack([one[4] for one in tried])
-    summaries = summarise([one[3] for one in tried], H)
-    residuals, jacobians = innovations(summaries, H)
+    H = inverse(np.array([one[4] for one in tried])) @ T_world_lidar
+    model = linearise([one[3] for one in tried], H)
+    # The target's pose moves H by -Ad(H^-1) xi, the LiDAR's by xi.
+    jacobians = np.concatenate([-model.R @ adjoint(inverse(H)), model.R], axis=2)
+    summaries, residuals = model.summaries(), model.residuals
     return [
-        Pairing(k, name, h, T, summary, residual, jacobian)
-        for (k, name, h, _, T), summary, residual, jacobian in zip(tried, summaries, residuals, jacobians, strict=True)
+        Pairing(k, name, h, H[n], summaries[n], residuals[n], jacobians[n])
+        for n, (k, name, h, _, _) in enumerate(tried)
     ]
 
 
-def innovations(summaries: Sequence[Summary], T_target_lidar: Floats) -> tuple[Floats, Floats]:
-    """Return residuals (m, 6) of predicted poses (m, 4, 4), whitened, and their derivatives (m, 6, 12) by both poses.
-
-    The target's pose comes first, then the LiDAR's.
-    """
-    S = np.stack([summary.sqrt_information for summary in summaries])
-    difference = inverse(np.stack([summary.T_target_lidar for summary in summaries])) @ T_target_lidar
-    steps = np.stack([gtsam.Pose3.Logmap(gtsam.Pose3(T)) for T in difference])
-    # Log(H_hat^-1 H Exp(xi)) = step + J_r^-1(step) xi, and the target moves H by -Ad(H^-1) xi.
-    by_lidar = S @ np.stack([gtsam.Pose3.LogmapDerivative(step) for step in steps])
-    by_target = -by_lidar @ adjoint(inverse(T_target_lidar))
-    return (S @ steps[..., None])[..., 0], np.concatenate([by_target, by_lidar], axis=2)
-
-
 def distance(residual: Floats, jacobian: Floats, covariance: Floats) -> tuple[float, float]:
-    """Return the squared Mahalanobis distance of a whitened residual, and the log determinant of its covariance."""
+    """Return the squared Mahalanobis distance of a whitened residual, and the log determinant of its covariance.
+
+    Args:
+        residual: (m,) whitened by the measurement alone.
+        jacobian: (m, d) its derivative by the poses, right perturbations, rotation (rad) first, then metres.
+        covariance: (d, d) matrix of the poses.
+    """
     S = np.linalg.cholesky(np.eye(len(residual)) + jacobian @ covariance @ jacobian.T)
     white = np.linalg.solve(S, residual)
     return float(white @ white), 2.0 * float(np.log(np.diag(S)).sum())
@@ -124,10 +117,11 @@ def plain(pairings: Sequence[Pairing], n_sightings: int, motion: Floats) -> list
         return None
     if [pairing.sighting for pairing in pairings] != list(range(n_sightings)):
         return None
-    residual = np.stack([pairing.residual for pairing in pairings])
-    J = np.stack([pairing.jacobian[:, 6:] for pairing in pairings])
-    S = np.eye(6) + J @ motion @ np.swapaxes(J, 1, 2)
-    d2 = np.einsum("mi,mi->m", residual, np.linalg.solve(S, residual[..., None])[..., 0])
+    residual = np.array([pairing.residual for pairing in pairings])
+    J = np.array([pairing.jacobian[:, 6:] for pairing in pairings])
+    S = J @ motion @ J.swapaxes(1, 2)
+    S[:, range(6), range(6)] += 1.0
+    d2 = (residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(axis=1)
     return list(pairings) if d2.max() < gate(6) else None
 
 
@@ -136,7 +130,7 @@ def gated(pairings: Sequence[Pairing], covariance: Floats, order: Mapping[str, i
 
     Args:
         pairings: all of a scan.
-        covariance: joint covariance of all landmarks in question and the LiDAR's pose, which is last.
+        covariance: (d, d) joint covariance of all landmarks in question and the LiDAR's pose, which is last.
         order: position of each landmark's block in `covariance`.
     """
     best: dict[tuple[int, str], Pairing] = {}
@@ -150,7 +144,7 @@ def gated(pairings: Sequence[Pairing], covariance: Floats, order: Mapping[str, i
 
 
 def block(position: int, size: int) -> Ints:
-    """Return the rows of a landmark and of the LiDAR's pose, which is last, in a joint covariance of `size` rows."""
+    """Return the rows (12,) of a landmark and of the LiDAR's pose, last, in a joint covariance of `size` rows."""
     return np.concatenate([np.arange(6 * position, 6 * position + 6), np.arange(size - 6, size)])
 
 
@@ -164,7 +158,7 @@ def associate(
     Args:
         pairings: that have passed the gate alone, the likeliest first.
         n_sightings: number of sightings of the scan.
-        covariance: joint covariance of the landmarks and the LiDAR's pose, which is last.
+        covariance: (d, d) joint covariance of the landmarks and the LiDAR's pose, which is last.
         order: position of each landmark's block in `covariance`.
     """
     candidates = [[p for p in pairings if p.sighting == k] for k in range(n_sightings)]

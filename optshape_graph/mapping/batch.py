@@ -6,27 +6,27 @@ there would contribute, without making it. Odometry and priors are GTSAM's. The 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import L, V, X
+from gtsam.symbol_shorthand import B, L, V, X
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors import SummaryFactor, summarise
+from optshape_graph.factors import SummaryFactor
 from optshape_graph.factors._noise import gaussian
 from optshape_graph.factors.se3 import adjoint, inverse, vec, vec_derivative
-from optshape_graph.io.trajectories import PoseGraph, PoseGraphEdge, Trajectory
-from optshape_graph.mapping.incremental import LOSS
-from optshape_graph.mapping.map import Landmark, Map
+from optshape_graph.mapping.batch_solution import BatchSolution, Residual, pose_graph
+from optshape_graph.mapping.biases import Biases
+from optshape_graph.mapping.landmark_graph import LOSS
 from optshape_graph.mapping.priors import joint_prior, sqrt_information
 from optshape_graph.mapping.shapes import Shapes
 from optshape_graph.mapping.track import Keys, MappingProblem
-from optshape_graph.target import Target
+
+__all__ = ["BatchSolution", "Residual", "factor_graph", "pose_graph", "solve_batch"]
 
 MAX_ITERATIONS = 50
 """Iterations at most."""
@@ -45,98 +45,9 @@ MOST_HALVINGS = 12
 """How often a step that raises the cost is halved before it is given up."""
 
 
-@dataclass(frozen=True, eq=False)
-class Residual:
-    """How well a match fits.
-
-    Attributes:
-        track: name of the session.
-        pose: number of the LiDAR pose.
-        landmark: name of the landmark.
-        chi2: what of the measurement's chi-square its own best pose would take away: 6 degrees of freedom.
-        weight: that the robust loss gives it, 0 to 1.
-    """
-
-    track: str
-    pose: int
-    landmark: str
-    chi2: float
-    weight: float
-
-
-@dataclass(frozen=True, eq=False)
-class BatchSolution:
-    """A solved map.
-
-    Attributes:
-        problem: what was solved.
-        values: all variables.
-        error: half the chi-square, exact, robust loss applied.
-        converged: whether a further step would gain nothing.
-        iterations: steps taken.
-        residuals: one for each match, in the order of tracks and matches.
-        linearise: makes the graph, linearised at the solution.
-        keys: of the poses of each track, and of the landmarks.
-        templates: of the landmarks, their vertices as built where those were refined.
-    """
-
-    problem: MappingProblem
-    values: gtsam.Values
-    error: float
-    converged: bool
-    iterations: int
-    residuals: tuple[Residual, ...]
-    linearise: Callable[[], gtsam.GaussianFactorGraph]
-    keys: Keys
-    templates: Mapping[str, Target]
-
-    def trajectory(self, track: str) -> Trajectory:
-        """Return the poses of a session."""
-        k = [t.name for t in self.problem.tracks].index(track)
-        poses = np.array([self.values.atPose3(key).matrix() for key in self.keys.poses[k]])
-        return Trajectory(poses.reshape(-1, 4, 4), self.problem.tracks[k].stamps, track)
-
-    @property
-    def landmarks(self) -> dict[str, Floats]:
-        """T_world_target (4, 4) of each landmark."""
-        return {name: self.values.atPose3(key).matrix() for name, key in self.keys.landmarks.items()}
-
-    @cached_property
-    def _marginals(self) -> gtsam.Marginals:
-        return gtsam.Marginals(self.linearise(), self.values)
-
-    def covariance(self, landmarks: Sequence[str] = (), poses: Sequence[tuple[str, int]] = ()) -> Floats:
-        """Return the joint covariance of landmarks and poses (session, number), right perturbations, rotation first.
-
-        Raises:
-            EstimationError: something is not determined by what was measured.
-        """
-        names = [track.name for track in self.problem.tracks]
-        keys = [self.keys.landmarks[name] for name in landmarks]
-        keys += [self.keys.poses[names.index(track)][number] for track, number in poses]
-        try:
-            return np.asarray(self._marginals.jointMarginalCovariance(keys).fullMatrix())
-        except RuntimeError as error:
-            raise EstimationError(f"the map is not determined: {error}") from error
-
-    def map(self) -> Map:
-        """Return the map."""
-        names = list(self.keys.landmarks)
-        joint = self.covariance(names) if names else None
-        seen = dict.fromkeys(names, 0)
-        for residual in self.residuals:
-            seen[residual.landmark] += 1
-        known = {} if self.problem.known is None else {m.id: m.observations for m in self.problem.known.landmarks}
-        landmarks = []
-        for k, (name, T) in enumerate(self.landmarks.items()):
-            assert joint is not None  # there is a landmark
-            block = joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
-            landmarks.append(Landmark(name, self.templates[name], T, block, seen[name] + known.get(name, 0)))
-        earlier = {} if self.problem.known is None else dict(self.problem.known.trajectories)
-        return Map(tuple(landmarks), joint, earlier | {t.name: self.trajectory(t.name) for t in self.problem.tracks})
-
-
-def solve_batch(problem: MappingProblem, *, robust: bool = True, as_built_sigma: float | None = None) -> BatchSolution:
+def solve_batch(
+    problem: MappingProblem, *, robust: bool = True, as_built_sigma: float | None = None, ring_biases: bool = True
+) -> BatchSolution:
     """Solve for all poses and landmarks.
 
     Args:
@@ -144,6 +55,8 @@ def solve_batch(problem: MappingProblem, *, robust: bool = True, as_built_sigma:
         robust: Huber's loss on every match, as in the incremental solver; otherwise least squares.
         as_built_sigma: standard deviation of the vertices about the template, metres: refines the vertices of each
             landmark whose sightings have their `shape`; None: templates are exact.
+        ring_biases: whether the biases that a LiDAR's rings keep are solved for, by sightings that have them
+            (`Sighting.biased`); otherwise each match takes them for its own.
 
     Raises:
         InputError: nothing to solve for.
@@ -151,31 +64,36 @@ def solve_batch(problem: MappingProblem, *, robust: bool = True, as_built_sigma:
     """
     if not problem.tracks or not sum(len(track.stamps) for track in problem.tracks):
         raise InputError("a map without a pose: nothing to solve for")
-    return _Batch(problem, robust, as_built_sigma).solve()
+    return _Batch(problem, robust, as_built_sigma, ring_biases).solve()
 
 
 class _Batch:
     """A problem as arrays: the exact cost and its Gauss-Newton model anywhere."""
 
-    def __init__(self, problem: MappingProblem, robust: bool, as_built_sigma: float | None) -> None:
+    def __init__(
+        self, problem: MappingProblem, robust: bool = True, sigma: float | None = None, ring_biases: bool = False
+    ) -> None:
         self.problem = problem
         self.loss = LOSS if robust else np.inf
         matches = [match for track in problem.tracks for match in track.matches]
-        self.shapes = Shapes.of(problem, as_built_sigma)
+        self.shapes = Shapes.of(problem, sigma)
+        self.biases = Biases.of(problem, ring_biases, self.shapes.replaced)
         offset = np.cumsum([0] + [len(track.stamps) for track in problem.tracks])
         poses = tuple(tuple(X(int(k)) for k in range(a, b)) for a, b in pairwise(offset))
         names = list(problem.T_world_target)
+        number = {name: k for k, name in enumerate(names)}
         self.keys = Keys(
             poses,
             {name: L(k) for k, name in enumerate(names)},
-            {name: V(names.index(name)) for name in self.shapes.targets},
+            {name: V(number[name]) for name in self.shapes.targets},
+            {t: B(t) for t, found in enumerate(self.biases.names) if found},
         )
         self.pose = np.array([offset[t] + m.pose for t, track in enumerate(problem.tracks) for m in track.matches], int)
-        self.landmark = np.array([names.index(match.landmark) for match in matches], int)
+        self.landmark = np.array([number[match.landmark] for match in matches], int)
         measurements = [match.measurement for match in matches]
         self.L = np.array([m.L for m in measurements]).reshape(-1, 12, 12)
         self.b = np.array([m.b for m in measurements]).reshape(-1, 12)
-        self.constant = np.array([m.c**2 for m in measurements])
+        self.constant = np.where(self.biases.replaced, 0.0, [m.c**2 for m in measurements])
         self.others = self._others()
 
     def solve(self) -> BatchSolution:
@@ -197,13 +115,15 @@ class _Batch:
                 break
             values, error = moved, lower
             iterations += 1
+        chi2, weight = self._chi2_and_weight()
         return BatchSolution(
             problem=self.problem,
             values=values,
             error=error,
             converged=converged,
             iterations=iterations,
-            residuals=self._residuals(),
+            chi2=chi2,
+            weight=weight,
             linearise=partial(self._linearise, values),
             keys=self.keys,
             templates=self.shapes.refined(self.problem, values, self.keys.shapes),
@@ -227,6 +147,7 @@ class _Batch:
         for name, T in self.problem.T_world_target.items():
             values.insert(self.keys.landmarks[name], gtsam.Pose3(T))
         self.shapes.insert(values, self.keys.shapes)
+        self.biases.insert(values, self.keys.biases)
         return values
 
     def _others(self) -> gtsam.NonlinearFactorGraph:
@@ -237,7 +158,7 @@ class _Batch:
                 noise = gaussian(sqrt_information(track.start.covariance))
                 graph.push_back(gtsam.PriorFactorPose3(keys[0], gtsam.Pose3(track.start.T_world_lidar), noise))
             for odometry in track.odometry:
-                noise = gaussian(sqrt_information(odometry.covariance))
+                noise = gaussian(odometry.sqrt_information)
                 T = gtsam.Pose3(odometry.T_i_j)
                 graph.push_back(gtsam.BetweenFactorPose3(keys[odometry.i], keys[odometry.j], T, noise))
         known = self.problem.known
@@ -264,44 +185,49 @@ class _Batch:
         information += RIDGE * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(6)
         R = np.linalg.cholesky(information)
         d = np.linalg.solve(R, Jt @ r[..., None])[..., 0]
-        chi2 = np.square(d).sum(axis=1)
-        weight = np.minimum(1.0, self.loss / np.sqrt(np.maximum(chi2, 1e-12)))
-        return _Model(H, np.swapaxes(R, 1, 2), d, np.square(r).sum(axis=1) - chi2, weight)
+        return _Model(H, np.swapaxes(R, 1, 2), d, np.square(r).sum(axis=1) - np.square(d).sum(axis=1))
 
     def _cost(self, values: gtsam.Values) -> float:
-        """Half the chi-square, exact. The model made on the way is kept, for `_linearise` at the same values."""
+        """Half the chi-square, exact. The models made on the way are kept, for `_linearise` at the same values."""
         self.model = self._model(self._relative(values))
-        chi2, weight = np.square(self.model.d).sum(axis=1), self.model.weight
+        among = self.biases.matches
+        if len(among):
+            self.biased = self.biases.at(self.model.H[among], values, self.keys.biases)
+            self.model.R[among], self.model.d[among], self.model.floor[among] = self.biased.R, self.biased.d, 0.0
+        chi2, weight = self._chi2_and_weight()
         # Huber: quadratic up to the loss, then a line; what no pose takes away counts in full.
         line = weight < 1.0
         huber = chi2.copy()
         huber[line] = 2 * self.loss * np.sqrt(chi2[line]) - self.loss**2
         cost = 0.5 * float((self.model.floor + self.constant + huber)[~self.shapes.replaced].sum())
+        cost += self.biased.error if len(among) else 0.0
         return cost + self.shapes.error(values, self.keys) + float(self.others.error(values))
+
+    def _chi2_and_weight(self) -> tuple[Floats, Floats]:
+        """(K,) chi-square that each match's own best pose would take away, and the weight that the loss gives it."""
+        chi2 = np.square(self.model.d).sum(axis=1)
+        return chi2, np.minimum(1.0, self.loss / np.sqrt(np.maximum(chi2, 1e-12)))
 
     def _linearise(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
         """Linearise at the values whose cost was asked for last."""
         model = self.model
-        root = np.sqrt(model.weight)
+        root = np.sqrt(self._chi2_and_weight()[1])
         R, b = model.R * root[:, None, None], -model.d * root[:, None]
         by_target = -R @ adjoint(inverse(model.H))
         linear = self.others.linearize(values)
         unit = gtsam.noiseModel.Unit.Create(6)
         k_lidar = np.array([key for keys in self.keys.poses for key in keys])[self.pose].tolist()
         k_target = np.array(list(self.keys.landmarks.values()))[self.landmark].tolist() if len(R) else []
-        for k in np.flatnonzero(~self.shapes.replaced).tolist():
+        for k in np.flatnonzero(~self.shapes.replaced & ~self.biases.replaced).tolist():
             linear.push_back(gtsam.JacobianFactor(k_target[k], by_target[k], k_lidar[k], R[k], b[k], unit))
+        for n, (k, t) in enumerate(zip(self.biases.matches.tolist(), self.biases.track.tolist(), strict=True)):
+            by_bias = self.biased.E[n, :, : len(self.biases.names[t])] * root[k]
+            linear.add(k_target[k], by_target[k], k_lidar[k], R[k], self.keys.biases[t], by_bias, b[k], unit)
+        for t, key in self.keys.biases.items():
+            rows, m = self.biased.alone[t], len(self.biases.names[t])
+            linear.add(key, rows[:, :m], -rows[:, -1], gtsam.noiseModel.Unit.Create(len(rows)))
         self.shapes.linearise(linear, values, self.keys)
         return linear
-
-    def _residuals(self) -> tuple[Residual, ...]:
-        """How well each match fits at the values whose cost was asked for last."""
-        chi2, weight = np.square(self.model.d).sum(axis=1), self.model.weight
-        named = [(track.name, match) for track in self.problem.tracks for match in track.matches]
-        return tuple(
-            Residual(track, match.pose, match.landmark, float(x), float(w))
-            for (track, match), x, w in zip(named, chi2, weight, strict=True)
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,14 +239,12 @@ class _Model:
         R: (K, 6, 6) upper triangular.
         d: (K, 6).
         floor: (K,) what no pose takes away, to first order.
-        weight: (K,) that the robust loss gives.
     """
 
     H: Floats
     R: Floats
     d: Floats
     floor: Floats
-    weight: Floats
 
 
 def factor_graph(problem: MappingProblem) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
@@ -329,7 +253,7 @@ def factor_graph(problem: MappingProblem) -> tuple[gtsam.NonlinearFactorGraph, g
     Every match is a compiled Between factor, summarised at the initial values: make them again (`SummaryFactor`) when
     those have moved.
     """
-    batch = _Batch(problem, robust=True, as_built_sigma=None)
+    batch = _Batch(problem)
     graph, values = gtsam.NonlinearFactorGraph(batch.others), batch._initial()
     loss = gtsam.noiseModel.mEstimator.Huber.Create(LOSS)
     H = batch._relative(values)
@@ -338,32 +262,6 @@ def factor_graph(problem: MappingProblem) -> tuple[gtsam.NonlinearFactorGraph, g
         k_target, k_lidar = batch.keys.landmarks[match.landmark], batch.keys.poses[t][match.pose]
         graph.push_back(SummaryFactor(match.measurement, k_target, k_lidar, T, loss))
     return graph, values
-
-
-def pose_graph(solution: BatchSolution) -> PoseGraph:
-    """Return a solved map as a pose graph, for g2o: poses first, then landmarks; summaries at the solution as edges."""
-    problem, values, keys = solution.problem, solution.values, solution.keys
-    order = [key for track in keys.poses for key in track] + list(keys.landmarks.values())
-    number = {key: k for k, key in enumerate(order)}
-    edges = []
-    for track_keys, track in zip(keys.poses, problem.tracks, strict=True):
-        for o in track.odometry:
-            information = np.asarray(np.linalg.inv(o.covariance), float)
-            edges.append(PoseGraphEdge(number[track_keys[o.i]], number[track_keys[o.j]], o.T_i_j, information))
-        targets = [keys.landmarks[match.landmark] for match in track.matches]
-        lidars = [track_keys[match.pose] for match in track.matches]
-        between = [values.atPose3(a).between(values.atPose3(b)).matrix() for a, b in zip(targets, lidars, strict=True)]
-        summaries = summarise([m.measurement for m in track.matches], np.array(between).reshape(-1, 4, 4))
-        for a, b, summary in zip(targets, lidars, summaries, strict=True):
-            information = summary.sqrt_information.T @ summary.sqrt_information
-            edges.append(PoseGraphEdge(number[a], number[b], summary.T_target_lidar, information))
-    vertices = {k: values.atPose3(key).matrix() for key, k in number.items()}
-    fixed = frozenset(
-        number[track_keys[0]]
-        for track_keys, track in zip(keys.poses, problem.tracks, strict=True)
-        if track.start is not None
-    )
-    return PoseGraph(vertices, tuple(edges), fixed)
 
 
 def _poses(values: gtsam.Values) -> Floats:

@@ -35,7 +35,8 @@ class Candidate:
 
     Attributes:
         sightings: number of the LiDAR pose, and what was seen from there.
-        scores: for each measurement of the first sighting, how badly the others fit it: squared Mahalanobis distances.
+        scores: (K,) for each measurement of the first sighting, how badly the others fit it: squared Mahalanobis
+            distances.
         choices: for each of them, the hypothesis of every sighting.
     """
 

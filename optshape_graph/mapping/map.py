@@ -20,6 +20,8 @@ from optshape_graph.io.documents import Node, read_document, write_json
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.target import Target
 
+_UNIT = np.eye(3)
+
 SCHEMA = "optshape/map/1"
 
 
@@ -60,7 +62,7 @@ class Map:
 
     Attributes:
         landmarks: in the order of their blocks in `joint_covariance`.
-        joint_covariance: (6 m, 6 m) of all landmarks; None: they are independent, as if surveyed one by one.
+        joint_covariance: (6 m, 6 m) matrix of all landmarks; None: they are independent, as if surveyed one by one.
         trajectories: T_world_lidar over time, by the name of the session.
 
     Raises:
@@ -107,7 +109,11 @@ def save_map(path: str | Path, result: Map) -> None:
 
 
 def map_document(result: Map) -> dict[str, Any]:
-    """Return a map as plain data of the schema."""
+    """Return a map as plain data of the schema.
+
+    Raises:
+        InputError: a trajectory without stamps.
+    """
     joint = {} if result.joint_covariance is None else {"joint_covariance": result.joint_covariance}
     return {
         "schema": SCHEMA,
@@ -140,13 +146,15 @@ def load_map(path: str | Path) -> Map:
     """
     root = read_document(path, "map")
     fields = root.fields(["schema", "targets", "landmarks", "trajectory"], ["joint_covariance", "report"])
-    templates = fields["targets"].entries()
+    templates = {
+        name: node.fields(["vertices"])["vertices"].numbers(-1, 3) for name, node in fields["targets"].entries().items()
+    }
     landmarks = tuple(_landmark(node, templates) for node in fields["landmarks"].items())
     joint = None
-    if landmarks and "joint_covariance" in fields:
+    if "joint_covariance" in fields:
         joint = fields["joint_covariance"].numbers(6 * len(landmarks), 6 * len(landmarks))
     try:
-        return Map(landmarks, joint, _trajectories(fields["trajectory"]))
+        return Map(landmarks, joint if landmarks else None, _trajectories(fields["trajectory"]))
     except InputError as error:
         root.fail(str(error))
 
@@ -161,7 +169,9 @@ def rigid(T: Floats, what: str) -> Floats:
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise InputError(f"{what}: expected a finite pose as 4 x 4, found shape {pose.shape}")
     R = pose[:3, :3]
-    if np.abs(R.T @ R - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > 0:
+    x, y, z = R.T.tolist()
+    handed = sum(x[i] * (y[i - 2] * z[i - 1] - y[i - 1] * z[i - 2]) for i in range(3))
+    if np.abs(R.T @ R - _UNIT).max() > 1e-6 or handed < 0 or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         raise InputError(f"{what}: its pose is not a rigid transform: {pose.tolist()}")
     return pose
 
@@ -182,15 +192,16 @@ def _stamps(trajectory: Trajectory) -> list[float]:
     return [float(stamp) for stamp in trajectory.stamps]
 
 
-def _landmark(node: Node, templates: Mapping[str, Node]) -> Landmark:
+def _landmark(node: Node, templates: Mapping[str, Floats]) -> Landmark:
     fields = node.fields(["id", "target", "T_world_target", "covariance"], ["vertices", "observations"])
     name = fields["id"].text()
     if name not in templates:
         fields["id"].fail(f"no template for landmark '{name}' under 'targets'")
-    vertices = templates[name].fields(["vertices"])["vertices"].numbers(-1, 3)
+    if "vertices" in fields:
+        fields["vertices"].numbers(-1, 3)  # for other programs: they follow from the template and the pose
     observations = fields["observations"].integer() if "observations" in fields else 0
     try:
-        target = Target(vertices, fields["target"].text())
+        target = Target(templates[name], fields["target"].text())
         T, C = fields["T_world_target"].numbers(4, 4), fields["covariance"].numbers(6, 6)
         return Landmark(name, target, T, C, observations)
     except InputError as error:

@@ -14,11 +14,10 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.factors.se3 import adjoint, inverse, skew
 from optshape_graph.pose import PoseEstimate, estimate_pose
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
@@ -123,7 +122,14 @@ class MotionMeasurement:
         return (self.at - self.start) / (self.end - self.start)
 
     def with_twist(self, twist: Floats) -> MotionMeasurement:
-        """Return the measurement made with another twist; this one, if no return would move by more than STALE_M."""
+        """Return the measurement made with another twist; this one, if no return would move by more than STALE_M.
+
+        Args:
+            twist: (6,) of the LiDAR in its own frame, rad/s, then m/s.
+
+        Raises:
+            InputError: the returns have no times.
+        """
         change = np.abs(np.asarray(twist, float) - self.twist)
         apart = float(np.abs(_times(self.returns) - self.at).max())
         reach = float(np.linalg.norm(self.returns.points, axis=1).max())
@@ -210,5 +216,18 @@ def _times(scan: Scan) -> Floats:
 
 
 def _moved(points: Floats, seconds: Floats, twist: Floats) -> Floats:
-    motion = RigidTransform.from_exp_coords(np.outer(seconds, twist))
-    return np.asarray(motion.apply(points))
+    """Exp(s twist) p of points (N, 3), each at its own s (N,), in closed form: one axis turns them all.
+
+    With k the axis, w the rate of turning, K = [k]x and v the velocity, it is
+    p + sin(w s) (K p - K K v / w) + (1 - cos(w s)) (K K p + K v / w) + s (v + K K v).
+    """
+    rate, v = float(np.linalg.norm(twist[:3])), twist[3:]
+    if rate < 1e-12:
+        return points + np.outer(seconds, v)
+    K = skew(twist[:3] / rate)
+    KK, angle = K @ K, rate * seconds
+    turned = np.sin(angle)[:, None] * (points @ K.T - KK @ v / rate)
+    turned += (2.0 * np.sin(0.5 * angle) ** 2)[:, None] * (points @ KK.T + K @ v / rate)
+    turned += np.outer(seconds, v + KK @ v)
+    turned += points
+    return np.asarray(turned)

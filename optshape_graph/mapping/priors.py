@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
+from optshape_graph.errors import InputError
 from optshape_graph.factors._noise import gaussian
 
 
@@ -46,9 +48,24 @@ def joint_prior(keys: Sequence[int], poses: Sequence[Floats], covariance: Floats
 
 
 def sqrt_information(covariance: Floats) -> Floats:
-    """Return R, upper triangular, with R^T R the inverse of a covariance.
+    """Return R (d, d), upper triangular, with R^T R the inverse of a covariance matrix (d, d).
 
     Raises:
         numpy.linalg.LinAlgError: the covariance is not positive definite.
     """
     return np.asarray(np.linalg.cholesky(np.linalg.inv(covariance)).T)
+
+
+def root_of(covariance: Floats, what: str) -> Floats:
+    """Return the square root information (6, 6) of a pose's covariance.
+
+    Raises:
+        InputError: the covariance is not 6 x 6, finite and positive definite.
+    """
+    C = np.asarray(covariance, float)
+    if C.shape == (6, 6):
+        with suppress(np.linalg.LinAlgError):
+            root = sqrt_information(C)
+            if np.isfinite(root).all():
+                return root
+    raise InputError(f"{what} covariance: expected 6 x 6, positive definite; found shape {C.shape}: {C.tolist()}")

@@ -9,13 +9,17 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
-from optshape_graph.factors import ShapeMeasurement, Summary, TemplateMeasurement, summarise
+from optshape_graph.factors import BiasedMeasurement, ShapeMeasurement, Summary, TemplateMeasurement, summarise
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.target import Target
 
 LOOSEST = 10.0
 """Standard deviation, rad or metres, from which on a measurement does not determine a pose."""
+
+
+RING_BIAS = "range bias of ring "
+"""How the pose estimator names what a ring keeps from scan to scan."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +32,8 @@ class Sighting:
         landmark: which landmark it is, where that is known (a tag, a template of which there is one); None: it is to
             be found out, among those of the same template.
         shape: the same returns without the template, to refine the target's as-built vertices; None: not kept.
+        biased: the first measurement before the range biases that the LiDAR's rings keep are marginalised, in units of
+            their standard deviations; None: not kept.
 
     Raises:
         InputError: no measurement.
@@ -37,16 +43,30 @@ class Sighting:
     measurements: tuple[TemplateMeasurement, ...]
     landmark: str | None = None
     shape: ShapeMeasurement | None = None
+    biased: BiasedMeasurement | None = None
 
     def __post_init__(self) -> None:
         if not self.measurements:
             raise InputError(f"a sighting of target '{self.target.name}' without a measurement")
 
     @classmethod
-    def of(cls, estimate: PoseEstimate, landmark: str | None = None, shape: ShapeMeasurement | None = None) -> Sighting:
+    def of(
+        cls,
+        estimate: PoseEstimate,
+        landmark: str | None = None,
+        shape: ShapeMeasurement | None = None,
+        *,
+        biases: bool = False,
+    ) -> Sighting:
         """Return the sighting that a pose estimate makes; of an ambiguous one, both of its poses.
 
         Of the other pose only the pose is known: its measurement is taken to be that of the best one, moved there.
+
+        Args:
+            estimate: of the pose.
+            landmark: which it is, where that is known.
+            shape: of the same returns.
+            biases: whether to keep `biased`, so that a batch can tell what all scans have in common.
 
         Raises:
             InputError: the estimate failed.
@@ -54,10 +74,11 @@ class Sighting:
         if estimate.status == "failed":
             raise InputError(f"the estimate of target '{estimate.target.name}' failed ({estimate.reason})")
         best = estimate.measurement
+        measurements: tuple[TemplateMeasurement, ...] = (best,)
         other = estimate.ambiguity.T_lidar_target
-        if estimate.status == "ok" or other is None:
-            return cls(estimate.target, (best,), landmark, shape)
-        return cls(estimate.target, (best, best.substituted(best.T_target_lidar @ other)), landmark, shape)
+        if estimate.status != "ok" and other is not None:
+            measurements = (best, best.substituted(best.T_target_lidar @ other))
+        return cls(estimate.target, measurements, landmark, shape, _biased(estimate) if biases else None)
 
     def moved(self, T_lidar_then: Floats) -> Sighting:
         """Return the sighting as one from another pose of the LiDAR.
@@ -71,7 +92,8 @@ class Sighting:
             triangle = np.asarray(np.linalg.qr(U.reshape(shape.U.shape), mode="r"))
             shape = ShapeMeasurement(triangle, shape.n_rows, shape.T_target_lidar @ inverse(T_lidar_then))
         measurements = tuple(m.substituted(np.eye(4), T_lidar_then) for m in self.measurements)
-        return replace(self, measurements=measurements, shape=shape)
+        biased = None if self.biased is None else self.biased.substituted(np.eye(4), T_lidar_then)
+        return replace(self, measurements=measurements, shape=shape, biased=biased)
 
     @cached_property
     def hypotheses(self) -> tuple[TemplateMeasurement, ...]:
@@ -81,6 +103,13 @@ class Sighting:
             for measurement in self.measurements
             for turn in self._turns
         )
+
+    def biased_as(self, hypothesis: int) -> BiasedMeasurement | None:
+        """Return `biased` under one of the hypotheses; None where it is not kept, or not known of that pose."""
+        if self.biased is None or hypothesis >= len(self._turns):
+            return None
+        turn = self._turns[hypothesis]
+        return self.biased if turn is None else self.biased.substituted(turn)
 
     @cached_property
     def summaries(self) -> tuple[Summary, ...]:
@@ -105,3 +134,16 @@ class Sighting:
     def T_lidar_target(self) -> Floats:
         """Return the likeliest pose (4, 4)."""
         return inverse(self.summaries[0].T_target_lidar)
+
+
+def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
+    """What the estimate's returns say before ring biases are marginalised; the offset at edges is of one scan.
+
+    It is as wide as the measurement, which is wider where associations disagree.
+    """
+    if estimate.shared is None:
+        return None
+    biased = estimate.shared.without([name for name in estimate.shared.shared if not name.startswith(RING_BIAS)])
+    own = np.trace(biased.marginal(1.0).information(estimate.T_target_lidar))
+    scale = float(np.sqrt(np.trace(estimate.measurement.information()) / own))
+    return replace(biased, stack=biased.stack * min(scale, 1.0))

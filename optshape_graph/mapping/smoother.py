@@ -45,6 +45,7 @@ class Smoother:
         values: gtsam.Values,
         remove: Iterable[int] = (),
         stamps: Mapping[int, float] | None = None,
+        finite: bool = False,
     ) -> list[int]:
         """Add factors and variables, remove factors, and improve the estimate by one step.
 
@@ -53,6 +54,7 @@ class Smoother:
             values: initial values of the variables that are new.
             remove: handles of factors to remove; those that a lag has marginalised are gone, and ignored.
             stamps: seconds, of the variables that the lag marginalises; the others stay for ever.
+            finite: the factors are known to be finite, and their variables to be there: they are not looked at.
 
         Returns:
             A handle for each new factor.
@@ -63,7 +65,8 @@ class Smoother:
         graph = gtsam.NonlinearFactorGraph()
         for factor in factors:
             graph.push_back(factor)
-        self._check(graph, values)
+        if not finite:
+            self._check(graph, values)
         removed = [handle for handle in remove if handle in self._factors]
         try:
             result = self._isam.update(graph, values, [self._slots[handle] for handle in removed])
@@ -87,7 +90,7 @@ class Smoother:
         return gtsam.Values(self._isam.calculateBestEstimate())
 
     def covariance(self, keys: Sequence[int]) -> Floats:
-        """Return the joint covariance of variables, in their order."""
+        """Return the joint covariance (d, d) of variables, in their order; of poses rotation (rad) first."""
         if len(keys) == 1:
             return np.asarray(self._isam.marginalCovariance(keys[0]))
         return np.asarray(self._isam.jointMarginalCovariance(list(keys)).fullMatrix())

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from optshape_graph._arrays import Floats, frozen
-from optshape_graph.factors import TemplateMeasurement
+from optshape_graph.factors import BiasedMeasurement, TemplateMeasurement
 from optshape_graph.mapping.map import Map
+from optshape_graph.mapping.priors import root_of
 from optshape_graph.mapping.sighting import Sighting
 from optshape_graph.target import Target
 
@@ -20,16 +21,22 @@ class Odometry:
         i, j: numbers of the poses.
         T_i_j: (4, 4) pose of the LiDAR at j in its frame at i.
         covariance: (6, 6) of its right perturbation, rotation first.
+        sqrt_information: (6, 6) square root of its inverse, upper triangular.
+
+    Raises:
+        InputError: a covariance that is none.
     """
 
     i: int
     j: int
     T_i_j: Floats
     covariance: Floats
+    sqrt_information: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_i_j", frozen(self.T_i_j))
         object.__setattr__(self, "covariance", frozen(self.covariance))
+        object.__setattr__(self, "sqrt_information", root_of(self.covariance, "odometry"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +59,11 @@ class Match:
     def measurement(self) -> TemplateMeasurement:
         """Of T_target_lidar, in the landmark's own naming of the vertices."""
         return self.sighting.hypotheses[self.hypothesis]
+
+    @property
+    def biased(self) -> BiasedMeasurement | None:
+        """The same before the biases of the LiDAR's rings are marginalised, where that is kept."""
+        return self.sighting.biased_as(self.hypothesis)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +125,10 @@ class Keys:
         poses: of each track.
         landmarks: by name.
         shapes: of the landmarks whose vertices are refined, by name.
+        biases: of the LiDARs whose rings' biases are, by number of the track.
     """
 
     poses: tuple[tuple[int, ...], ...]
     landmarks: Mapping[str, int]
     shapes: Mapping[str, int]
+    biases: Mapping[int, int] = field(default_factory=dict)

@@ -7,6 +7,7 @@ from typing import Literal
 from optshape_graph.pose.enumerated import estimate_enumerated, refine
 from optshape_graph.pose.estimate import Ambiguity, PoseEstimate
 from optshape_graph.pose.paper import estimate_as_paper
+from optshape_graph.pose.ringless import estimate_ringless
 from optshape_graph.pose.sdp import Backend, Certificate, certify, solve_relaxation
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
@@ -34,8 +35,8 @@ def estimate_pose(scan: Scan, target: Target, method: Method = "global", backend
             rings that should have hit.
         target: the template.
         method: "global" enumerates every consistent association of edge points to edges, finds the posterior of the
-            pose under the best of them, and certifies it; "paper" is the alternation of Huang, Clark and Grizzle,
-            for comparison.
+            pose under the best of them, and certifies it; of a cloud without rings it finds the posterior over all
+            poses that contain the returns. "paper" is the alternation of Huang, Clark and Grizzle, for comparison.
         backend: what solves the relaxation.
 
     Returns:
@@ -47,4 +48,6 @@ def estimate_pose(scan: Scan, target: Target, method: Method = "global", backend
     """
     if method == "paper":
         return estimate_as_paper(scan, target, backend)
+    if scan.ring is None:
+        return estimate_ringless(scan, target, backend)
     return estimate_enumerated(scan, target, backend)

@@ -127,7 +127,7 @@ def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> F
     near = _first_different((turned < np.radians(1.5)) & (moved < 0.01), NEAR)
     far = _first_different((turned < np.radians(15.0)) & (moved < 0.3), FAR_IF_NOISY if edges.noisy else FAR)
     chosen = np.union1d(near, far)
-    return _poses(angle[chosen], t[chosen], plane)
+    return in_plane_poses(angle[chosen], t[chosen], plane)
 
 
 def _solve_2x2(A: Floats, B: Floats) -> Floats:
@@ -188,8 +188,8 @@ def _first_different(alike: Bools, count: int) -> Ints:
     return np.array(kept, dtype=np.int64)
 
 
-def _poses(angle: Floats, t: Floats, plane: ReturnsPlane) -> Floats:
-    """T_target_lidar (C, 4, 4) of in-plane angles (C,) and translations (C, 2)."""
+def in_plane_poses(angle: Floats, t: Floats, plane: ReturnsPlane) -> Floats:
+    """Return T_target_lidar (C, 4, 4) of in-plane angles (C,), rad, and translations (C, 2), metres."""
     c, s = np.cos(angle), np.sin(angle)
     turn = np.zeros((len(angle), 3, 3))
     turn[:, 0, 0] = 1.0

@@ -26,7 +26,7 @@ from optshape_graph.pose.evidence import alternative_labels, exit_probability, m
 from optshape_graph.pose.firing import place_on_firings
 from optshape_graph.pose.likelihood import Firings
 from optshape_graph.pose.modes import Candidates, log, modes_by_association, modes_by_samples
-from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, returns_on_plane
+from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
 from optshape_graph.pose.propagation import (
     EdgeGeometry,
     Posterior,
@@ -50,12 +50,16 @@ _ALTERNATIVES = 6
 
 
 def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel") -> PoseEstimate:
-    """Estimate a target's pose from its returns; see `estimate_pose`."""
+    """Estimate a target's pose from its returns; see `estimate_pose`.
+
+    Raises:
+        EstimationError: the returns determine no pose at all.
+    """
     scan, angular_noise = level_rings(scan)
     edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
     plane = fit_plane(scan.points, scan.ring)
     returns = returns_on_plane(scan.points, scan.ring, plane.axes[0], plane.distance, scan.sensor, angular_noise)
-    on_plane = _plane_measurement(returns)
+    on_plane = plane_measurement(returns, [f"range bias of ring {k}" for k in returns.rings])
     # Where rings in between are lost, the next one may be lost too; with noisy azimuths a lone return of the outermost
     # ring may lie beside the target. Neither bounds anything.
     complete = edges.n_rings == edges.ring[-1] - edges.ring[0] + 1
@@ -131,22 +135,6 @@ def refine(measurement: TemplateMeasurement, iterations: int = 20) -> Floats:
         if np.abs(step).max() < 1e-9 or damping > 1.0:
             break
     return np.asarray(T)
-
-
-def _plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
-    """Returns against the target's plane, before the bias of each ring, in standard deviations, is marginalised.
-
-    Where a residual and its row's coefficients err together, the gradient has a mean at the true pose, the sum of their
-    covariances; the constants take it out.
-    """
-    normals = np.broadcast_to([1.0, 0.0, 0.0], returns.points.shape)
-    A, r = template_rows(returns.points, normals, returns.offset)
-    A, r = A / returns.sigma[:, None], r / returns.sigma
-    mean, _ = template_rows(returns.coupling, normals, returns.offset)
-    mean[:, 9:] = 0.0
-    r = r - A @ np.linalg.lstsq(A.T @ A, (mean / returns.sigma[:, None] ** 2).sum(axis=0), rcond=1e-12)[0]
-    names = [f"range bias of ring {k}" for k in returns.rings]
-    return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4), shared=names)
 
 
 def _upright(T: Floats, target: Target) -> Floats:

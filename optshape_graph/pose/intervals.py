@@ -20,13 +20,13 @@ def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floa
     """Moments of Gaussians truncated to intervals, stable far in the tails.
 
     Args:
-        mean: (...) of the Gaussian.
-        variance: (...) of the Gaussian.
-        lower: (...) end of the interval.
-        upper: (...) end of the interval, not below `lower`.
+        mean: (...) of the Gaussian, in any unit.
+        variance: (...) of the Gaussian, in that unit squared.
+        lower: (...) end of the interval, in that unit.
+        upper: (...) end of the interval, in that unit, not below `lower`.
 
     Returns:
-        Logarithm of the mass inside, mean and variance of the truncated Gaussian, each (...).
+        Logarithm of the mass inside, mean and variance of the truncated Gaussian, each (...), in those units.
     """
     sd = np.sqrt(variance)
     a, b = (lower - mean) / sd, (upper - mean) / sd
@@ -70,14 +70,14 @@ def mixture_moments(
     """Moments of a Gaussian times a mixture of uniform densities.
 
     Args:
-        mean: (...) of the Gaussian.
-        variance: (...) of the Gaussian.
-        lower: (K, ...) ends of the K intervals.
-        upper: (K, ...) likewise.
+        mean: (...) of the Gaussian, in any unit.
+        variance: (...) of the Gaussian, in that unit squared.
+        lower: (K, ...) lower ends of the K intervals, in that unit.
+        upper: (K, ...) upper ends, in that unit.
         log_density: (K, ...) logarithm of each uniform's weight divided by its width.
 
     Returns:
-        Logarithm of the normaliser, mean and variance of the product, each (...).
+        Logarithm of the normaliser, mean and variance of the product, each (...), in those units.
     """
     log_mass, m, v = truncated_moments(mean[None], variance[None], lower, upper)
     log_weight = log_density + log_mass

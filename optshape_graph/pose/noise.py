@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
+from optshape_graph.factors.measurement import template_rows
+from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.sensor import SensorModel
 
 FLATNESS = 1e-3
@@ -118,3 +121,18 @@ def returns_on_plane(
     in_plane = turning - points * (sideways / along)[:, None]
     coupling = azimuth_noise**2 * sideways[:, None] * in_plane
     return PlaneReturns(points * (distance / along)[:, None], distance - along, sigma, rings, bias, coupling)
+
+
+def plane_measurement(returns: PlaneReturns, names: Sequence[str]) -> BiasedMeasurement:
+    """Returns against the target's plane, before the bias of each ring, in standard deviations, is marginalised.
+
+    Where a residual and its row's coefficients err together, the gradient has a mean at the true pose, the sum of their
+    covariances; the constants take it out.
+    """
+    normals = np.broadcast_to([1.0, 0.0, 0.0], returns.points.shape)
+    A, r = template_rows(returns.points, normals, returns.offset)
+    A, r = A / returns.sigma[:, None], r / returns.sigma
+    mean, _ = template_rows(returns.coupling, normals, returns.offset)
+    mean[:, 9:] = 0.0
+    r = r - A @ np.linalg.lstsq(A.T @ A, (mean / returns.sigma[:, None] ** 2).sum(axis=0), rcond=1e-12)[0]
+    return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4), shared=names)

@@ -27,7 +27,11 @@ TOLERANCE = 1e-5
 
 
 def estimate_as_paper(scan: Scan, target: Target, backend: Backend = "clarabel") -> PoseEstimate:
-    """Estimate a target's pose as the paper does; see `estimate_pose`."""
+    """Estimate a target's pose as the paper does; see `estimate_pose`.
+
+    Raises:
+        EstimationError: fewer than three edge points.
+    """
     edges = extract_edge_points(scan)
     distinct = np.unique(edges.index, return_index=True)[1]
     points = edges.points[np.sort(distinct)]

@@ -80,7 +80,7 @@ class Posterior:
     Attributes:
         T_target_lidar: (C, 4, 4).
         covariance: (C, 6, 6) of the right perturbation of T_target_lidar, rotation first.
-        offset: (C,) common offset across the edges, beam widths; positive: the returns lie further in.
+        offset: (C,) common offset across the edges, in units of the beam's width; positive: the returns lie further in.
         geometry: edge points at these poses.
         inset: (C, M) distance along the ring from each edge point to the boundary, rad, offset and shift apart.
         shift: (C, M) outward motion of each edge point with its ring, where azimuths are noisy, rad.
@@ -98,7 +98,7 @@ class Posterior:
     log_evidence: Floats
 
     def select(self, index: Ints | slice) -> Posterior:
-        """Return some of the posteriors."""
+        """Return some of the posteriors: a slice of them, or those at indices (K,)."""
         geometry = EdgeGeometry(**{name: value[index] for name, value in vars(self.geometry).items()})
         rest = {name: value[index] for name, value in vars(self).items() if name != "geometry"}
         return Posterior(geometry=geometry, **rest)

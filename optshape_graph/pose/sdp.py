@@ -201,9 +201,12 @@ def refine_rotation(form: Floats, R: Floats, iterations: int = 20) -> Floats:
     """Minimise x^T F x, x = [vec R; 1], over rotations near R by Gauss-Newton steps that never go up.
 
     Args:
-        form: (10, 10) F.
-        R: (3, 3) start.
+        form: (10, 10) matrix F.
+        R: (3, 3) rotation to start from.
         iterations: at most so many steps.
+
+    Returns:
+        (3, 3) rotation.
     """
     cost, damping = _rotation_cost(form, R), 1e-12
     for _ in range(iterations):

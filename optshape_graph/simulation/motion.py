@@ -47,7 +47,7 @@ class Trajectory:
         T_world_lidar: (K, 4, 4).
 
     Raises:
-        InputError: fewer than two poses, times that do not increase; or, in `at`, times outside them.
+        InputError: fewer than two poses, or times that do not increase.
     """
 
     times: Floats
@@ -64,7 +64,11 @@ class Trajectory:
         object.__setattr__(self, "T_world_lidar", poses)
 
     def at(self, times: Floats) -> tuple[Floats, Floats]:
-        """See `Motion.at`."""
+        """See `Motion.at`.
+
+        Raises:
+            InputError: times outside those of the poses.
+        """
         if times.min() < self.times[0] or times.max() > self.times[-1]:
             raise InputError(
                 f"trajectory: covers {self.times[0]:g} to {self.times[-1]:g} s; "

@@ -91,6 +91,9 @@ class NoiseModel:
         Args:
             level: 0 (none) to 4, as the paper's released settings define them; its charts show 0, 1 and 3.
             range_only: leave out the angular part, as the paper's stored results seem to do.
+
+        Raises:
+            InputError: there is no such level.
         """
         if level not in LEVELS:
             raise InputError(f"noise level {level} is not one of {', '.join(map(str, LEVELS))}")
@@ -155,7 +158,7 @@ class NoiseModel:
     def measure(
         self, ranges: Floats, azimuth: Floats, elevation: Floats, bias: Floats, rng: np.random.Generator
     ) -> tuple[Floats, Floats, Floats]:
-        """Return measured (N,) ranges, azimuths and elevations of (N,) true ones.
+        """Return measured (N,) ranges, metres, azimuths and elevations, rad, of (N,) true ones.
 
         Args:
             ranges: (N,) metres.

@@ -15,7 +15,7 @@ def pose_from_rpy(position: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> Floa
 
     Args:
         position: (3,) metres.
-        rpy: roll, pitch, yaw, rad.
+        rpy: (3,) roll, pitch, yaw, rad.
 
     Raises:
         InputError: not three finite numbers each.

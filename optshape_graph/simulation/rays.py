@@ -23,7 +23,8 @@ class EdgeMargin:
     At a range r the beam's radius is an angle of (divergence + aperture / r) / 2.
 
     Attributes:
-        radii: (N,) of each ray, or (1,) of all, in beam radii; negative: by which the axis must pass inside.
+        radii: (N,) of each ray, or (1,) of all, in units of the beam's radius; negative: by which the axis must pass
+            inside.
         divergence: full angle of the beam, rad.
         aperture: width of the beam where it leaves the sensor, metres.
     """
@@ -53,7 +54,7 @@ NO_MARGIN = EdgeMargin(np.zeros(1))
 
 
 def at(values: Floats, index: Ints) -> Floats:
-    """Return the values of the rays at `index`: the one row if all rays share it."""
+    """Return the values (M, k), in their unit, of the rays at `index` (M,): the one row (1, k) if all rays share it."""
     return values if len(values) == 1 else values[index]
 
 

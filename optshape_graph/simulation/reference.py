@@ -49,7 +49,7 @@ def reference_pose(target: Target, distance: float, rpy: ArrayLike) -> Floats:
     Args:
         target: with four vertices.
         distance: metres.
-        rpy: roll, pitch, yaw, rad.
+        rpy: (3,) roll, pitch, yaw, rad.
 
     Raises:
         InputError: not a quadrilateral.

@@ -64,7 +64,11 @@ class SimulatedScan:
         return self.scan.select(self.surface == k)
 
     def without_rings(self, rings: ArrayLike) -> SimulatedScan:
-        """Return it without the returns of some rings: partial illumination."""
+        """Return it without the returns of some rings, numbers (K,): partial illumination.
+
+        Raises:
+            InputError: the scan has no rings.
+        """
         keep = ~np.isin(_rings(self.scan), rings)
         return replace(self, scan=self.scan.select(keep), surface=frozen(self.surface[keep], np.int64))
 
@@ -150,7 +154,7 @@ def simulate_target(
 
 
 def random_rings(scan: Scan, share: float, rng: np.random.Generator | int = 0) -> Ints:
-    """Return some of the rings of a scan, drawn at random: those to leave out for partial illumination.
+    """Return some of the rings of a scan (K,), drawn at random: those to leave out for partial illumination.
 
     Args:
         scan: a scan with rings.
@@ -167,7 +171,7 @@ def random_rings(scan: Scan, share: float, rng: np.random.Generator | int = 0) -
 
 
 def without_rings(scan: Scan, rings: ArrayLike) -> Scan:
-    """Return the scan without the returns of some rings: partial illumination.
+    """Return the scan without the returns of some rings, numbers (K,): partial illumination.
 
     Raises:
         InputError: the scan has no rings.

@@ -109,6 +109,9 @@ class Box:
         size: (3,) extents along its x, y and z, metres.
         T_world_box: (4, 4), of its centre.
         reflectivity: 0 to 1.
+
+    Raises:
+        InputError: extents that are not three positive numbers.
     """
 
     size: Floats
@@ -127,7 +130,7 @@ class Box:
         return self.T_world_box[:3, 3], float(np.linalg.norm(self.size) / 2)
 
     def cast(self, origins: Floats, directions: Floats, margin: EdgeMargin) -> Hits:
-        """Intersect with the three slabs: in at the last entry, if that is before the first exit."""
+        """See `Surface.cast`: in at the last entry of the three slabs, if that is before the first exit."""
         R, t, half = self.T_world_box[:3, :3], self.T_world_box[:3, 3], self.size / 2
         near = towards_sphere(origins, directions, self.bounds)
         o, d = (at(origins, near) - t) @ R, directions[near] @ R
@@ -145,7 +148,17 @@ class Box:
 
 
 def towards_sphere(origins: Floats, directions: Floats, sphere: Sphere, margin: EdgeMargin = NO_MARGIN) -> Ints:
-    """Index of the rays that pass a sphere, in front of their origin, or pass what is in it by less than a margin."""
+    """Find the rays that pass a sphere, in front of their origin, or pass what is in it by less than a margin.
+
+    Args:
+        origins: (N, 3) metres, world frame, or (1, 3) if all rays have the same.
+        directions: (N, 3) unit vectors, world frame.
+        sphere: centre and radius, metres, world frame.
+        margin: by how much a beam's axis may pass outside.
+
+    Returns:
+        (K,) their indices.
+    """
     to_centre = sphere[0] - origins
     along = (directions * to_centre).sum(axis=1) if len(origins) > 1 else directions @ to_centre[0]
     distance = np.linalg.norm(to_centre, axis=1)

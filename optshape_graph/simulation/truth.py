@@ -30,7 +30,7 @@ def write_simulation(
         result: the scan and its truth.
         noise: what was asked for.
         seed: of the noise.
-        rings_left_out: rings that were made to return nothing.
+        rings_left_out: (K,) numbers of the rings that were made to return nothing.
 
     Returns:
         The path of the truth.

@@ -1,9 +1,12 @@
-"""Overlays: LiDAR returns on the image, coloured by range, and the target's outline as each sensor sees it."""
+"""A LiDAR-camera calibration: LiDAR returns on the images, coloured by range, with the target's outline as each sensor
+sees it; and the errors of every view.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,13 +14,18 @@ from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera_calibration import CameraCalibration
 from optshape_graph.calibration.camera_evidence import without_bias
 from optshape_graph.calibration.consistency import of_view
-from optshape_graph.calibration.images.projection import opencv, project
+from optshape_graph.calibration.images.projection import project
 from optshape_graph.calibration.sightings import TargetInScan
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.files import read_bytes, write_atomically
+from optshape_graph.io.image_files import decode_image, opencv
 from optshape_graph.target import Target
+from optshape_graph.viz.style import BLUE, GREY, INK, VERMILLION, legend_below, new_figure, plain
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LIDAR_COLOUR, CAMERA_COLOUR = (60, 60, 255), (255, 200, 0)
 """Blue, green, red: the outline predicted from the LiDAR, and the camera's own."""
@@ -26,9 +34,47 @@ WIDEST_ANGLE = np.radians(80.0)
 """Returns further from the optical axis than this are not drawn: lens models are not calibrated there."""
 
 RANGES = (1.0, 30.0)
-"""Ranges, metres, that the colours run over, red to blue, in equal ratios."""
+"""Ranges, metres, that the colours run over, yellow to violet, in equal ratios."""
 
 POINTS_PER_EDGE = 50
+
+PANELS = (
+    ("centre_error_mm", "centre (mm)"),
+    ("plane_offset_mm", "plane (mm), signed"),
+    ("normal_error_deg", "normal (deg)"),
+    ("reprojection_px", "vertices (px)"),
+)
+
+
+def plot_view_errors(calibration: CameraCalibration) -> Figure:
+    """Plot the errors of every view, each predicted by the extrinsic of the others; views not used are hollow.
+
+    Args:
+        calibration: the result.
+
+    Raises:
+        MissingExtraError: matplotlib is absent.
+    """
+    rows = [result for result in calibration.views if result.errors is not None]
+    y = np.arange(len(rows))
+    used = np.array([result.used for result in rows], dtype=bool)
+    figure = new_figure(12.0, 1.8 + 0.3 * max(len(rows), 5))
+    panels = figure.subplots(1, len(PANELS), sharey=True)
+    for axes, (field, label) in zip(panels, PANELS, strict=True):
+        values = np.array([getattr(result.errors, field) for result in rows], dtype=float)
+        plain(axes).set_xlabel(label)
+        axes.axvline(0.0, color=INK, lw=0.8)
+        axes.hlines(y, 0.0, values, color=GREY, lw=1.0)
+        axes.plot(values[used], y[used], "o", color=BLUE, ms=6, label="used")
+        if not used.all():
+            axes.plot(values[~used], y[~used], "o", mfc="none", color=VERMILLION, ms=7, label="not used")
+        if used.any():
+            axes.axvline(float(values[used].mean()), color=BLUE, lw=1.2, ls="--", label="mean of the used")
+    panels[0].set_yticks(y, [result.view.name for result in rows])
+    panels[0].invert_yaxis()
+    legend_below(figure, panels[0])
+    figure.suptitle("errors of the views, each predicted by the extrinsic of the others")
+    return figure
 
 
 def draw_overlay(calibration: CameraCalibration, number: int) -> np.ndarray:
@@ -44,14 +90,11 @@ def draw_overlay(calibration: CameraCalibration, number: int) -> np.ndarray:
     Raises:
         InputError: the view has no image, or it cannot be read.
     """
-    cv2 = opencv()
     view = calibration.views[number].view
     lidar_side, camera_side = of_view(number, calibration.sightings)
     if view.image is None or view.image.image.lower().endswith(".csv") or camera_side is None:
         raise InputError(f"view {view.name}: no image to draw on")
-    picture = cv2.imdecode(np.frombuffer(read_bytes(Path(view.image.image)), np.uint8), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise InputError(f"{view.image.image}: not an image that OpenCV can read")
+    picture = decode_image(read_bytes(view.image.image), view.image.image, channels=3)
     rig = calibration.rig
     camera = rig.cameras[camera_side.sensor]
     _outline(picture, camera, view.target, camera_side.T_sensor_target, CAMERA_COLOUR)
@@ -103,7 +146,7 @@ def _returns(
         return
     near, far = np.log(RANGES)
     share = np.clip((np.log(distance) - near) / (far - near), 0, 1)
-    colours = cv2.applyColorMap((255 * (1 - share)).astype(np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0]
+    colours = cv2.applyColorMap((255 * (1 - share)).astype(np.uint8)[:, None], cv2.COLORMAP_PLASMA)[:, 0]
     for pixel, colour in zip(project(camera, in_camera), colours, strict=True):
         if (pixel >= 0).all() and (pixel < (camera.width, camera.height)).all():
             cv2.circle(picture, [int(x) for x in pixel], radius, [int(c) for c in colour], -1, cv2.LINE_AA)

@@ -13,8 +13,8 @@ from optshape_graph.design.polygons import rotated
 from optshape_graph.design.problem import orientations
 from optshape_graph.design.rings import Rings
 from optshape_graph.design.sensitivity import cell_scores, edge_crossings, quadratic_forms, worst_motions
-from optshape_graph.errors import missing_extra
 from optshape_graph.target import Target
+from optshape_graph.viz.style import BLUE, GREY, INK, VERMILLION, colour, legend_below, new_figure, outline, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,12 +23,10 @@ if TYPE_CHECKING:
     from optshape_graph.design.multistart import Search
     from optshape_graph.evaluation.shape_study import ShapeStudy
 
-INK, BLUE, ORANGE, GREY = "#222222", "#1f5fa8", "#d9660f", "#b5b5b5"
-
 
 def plot_cells(target: Target, rings: Rings) -> Figure:
     """Plot the scores over orientation and lit area, and the worst cell: its rings, edge points and worst motion."""
-    figure = _figure(12.0, 5.0)
+    figure = new_figure(12.0, 5.0)
     map_axes, shape_axes = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
     turns = orientations(rings, DEGREE)
     scores = cell_scores(rotated(unit_area(target), turns), rings)
@@ -49,15 +47,15 @@ def plot_cells(target: Target, rings: Rings) -> Figure:
 
     polygon, heights, motion = _worst(target, rings)
     crossings = edge_crossings(polygon, heights[:, worst.area, None])
-    _outline(shape_axes, polygon)
+    _shape(shape_axes, polygon)
     for height in heights.reshape(-1):
         shape_axes.axhline(height, color=GREY, lw=0.3, zorder=0)
     for height in heights[:, worst.area]:
-        shape_axes.axhline(height, color=ORANGE, lw=0.8, alpha=0.6, zorder=1)
+        shape_axes.axhline(height, color=VERMILLION, lw=0.8, alpha=0.6, zorder=1)
     points = crossings.hit[..., 0]
     x, y = crossings.x[..., 0][points], np.broadcast_to(crossings.y[..., 0], points.shape)[points]
     speed = crossings.motion(motion[None])[..., 0, 0][points]
-    shape_axes.plot(x, y, "o", color=ORANGE, ms=5, zorder=3)
+    shape_axes.plot(x, y, "o", color=VERMILLION, ms=5, zorder=3)
     longest = max(float(np.abs(speed).max(initial=0.0)), 1e-9)
     reach = 0.12 * float(np.ptp(polygon[:, 1])) / longest
     shape_axes.quiver(
@@ -73,12 +71,13 @@ def plot_cells(target: Target, rings: Rings) -> Figure:
     margin = 0.15 * float(np.ptp(polygon[:, 1]))
     (left, bottom), (right, top) = polygon.min(axis=0) - margin, polygon.max(axis=0) + margin
     shape_axes.set(xlim=(left, right), ylim=(bottom, top))
+    shape_axes.set(xlabel="along the rings (m)", ylabel="across the rings (m)")
     return figure
 
 
 def plot_sensitivity(target: Target, rings: Rings) -> Figure:
     """Plot how much the edge points of the worst cell move over the directions of motion, and where least."""
-    figure = _figure(9.0, 4.8)
+    figure = new_figure(9.0, 4.8)
     axes = figure.subplots()
     polygon, heights, motion = _worst(target, rings)
     area = worst_cell(target, orientations(rings, DEGREE), rings).area
@@ -91,7 +90,7 @@ def plot_sensitivity(target: Target, rings: Rings) -> Figure:
     for sign in (1.0, -1.0):
         omega, u, v = sign * motion
         at = np.degrees(np.arctan2(v, u)) % 360.0, np.degrees(np.arccos(omega))
-        axes.plot(*at, "o", mfc="none", mec=ORANGE, mew=2, ms=11)
+        axes.plot(*at, "o", mfc="none", mec=VERMILLION, mew=2, ms=11)
     bar = figure.colorbar(filled, ax=axes, label="sum of squared edge point motions")
     ticks = np.geomspace(levels[0], levels[-1], 5)
     bar.set_ticks(list(ticks), labels=[f"{tick:.2g}" for tick in ticks])
@@ -108,25 +107,25 @@ def plot_sensitivity(target: Target, rings: Rings) -> Figure:
 def plot_comparison(judgements: list[Judgement]) -> Figure:
     """Plot the shapes side by side at one scale, and their numbers below."""
     n = len(judgements)
-    figure = _figure(max(2.3 * n, 4.5), 6.4)
+    figure = new_figure(max(2.3 * n, 8.0), 6.4)
     rows = figure.subplots(2, 1, height_ratios=(1.0, 1.3))
     outlines, bars = rows
     x = np.arange(n)
     polygons = [unit_area(judgement.target) for judgement in judgements]
     size = 1.15 * max(float(np.ptp(polygon, axis=0).max()) for polygon in polygons)
     for i, (judgement, polygon) in enumerate(zip(judgements, polygons, strict=True)):
-        _outline(outlines, polygon + np.array([i * size, 0.0]))
+        _shape(outlines, polygon + np.array([i * size, 0.0]))
         outlines.text(i * size, 0.0, judgement.target.name, ha="center", va="center", fontsize=9)
     outlines.set(xlim=(-0.5 * size, (n - 0.5) * size), title="at 1 m², seen from behind (y to the right)")
     outlines.set_axis_off()
     series = [
         ("six rotations", [judgement.six_rotations for judgement in judgements], GREY),
         ("every 1°", [judgement.every_degree for judgement in judgements], BLUE),
-        ("every 0.1°", [judgement.every_tenth for judgement in judgements], ORANGE),
+        ("every 0.1°", [judgement.every_tenth for judgement in judgements], VERMILLION),
     ]
-    for k, (label, values, colour) in enumerate(series):
-        drawn = bars.bar(x + 0.27 * (k - 1), values, 0.25, label=label, color=colour)
-        bars.bar_label(drawn, fmt="%.4f", fontsize=7, rotation=90, padding=2)
+    for k, (label, values, shade) in enumerate(series):
+        drawn = bars.bar(x + 0.27 * (k - 1), values, 0.25, label=label, color=shade)
+        bars.bar_label(drawn, fmt="%.4f", fontsize=9, rotation=90, padding=3)
     names = []
     for judgement in judgements:
         lines = [judgement.target.name, f"asymmetry {judgement.self_rotation.distance:.3f}"]
@@ -135,17 +134,17 @@ def plot_comparison(judgements: list[Judgement]) -> Figure:
             lines.append(f"in plane {median:.2f}°, worst {f'{worst:.2f}°' if np.isfinite(worst) else '∞'}")
             lines.append(f"at {bound.distance:g} m, {judgement.target.area:.2g} m²")
         names.append("\n".join(lines))
-    bars.set_xticks(x, names, fontsize=8)
-    bars.set(ylabel="worst score", xlim=(-0.5, n - 0.5))
-    bars.margins(y=0.22)
-    bars.legend(frameon=False, ncols=3, loc="upper left", fontsize=8)
-    bars.spines[["top", "right"]].set_visible(False)
+    bars.set_xticks(x, names, fontsize=9)
+    bars.set(xlabel="shape, and the bound on its pose", ylabel="worst score", xlim=(-0.5, n - 0.5))
+    bars.margins(y=0.3)
+    legend_below(figure)
+    plain(bars)
     return figure
 
 
 def plot_search(search: Search) -> Figure:
     """Plot where every start of a search ended, best first, and the shapes of the best dozen."""
-    figure = _figure(9.0, 5.6)
+    figure = new_figure(9.0, 5.6)
     axes, shapes = figure.subplots(2, 1, height_ratios=(1.5, 1.0))
     ends = sorted(search.starts, key=lambda start: -start.score)
     x = np.arange(len(ends))
@@ -153,16 +152,16 @@ def plot_search(search: Search) -> Figure:
     scores = np.array([start.score for start in ends])
     axes.plot(x[admissible], scores[admissible], "o", color=BLUE, ms=4, label="within the limits")
     if not admissible.all():
-        axes.plot(x[~admissible], scores[~admissible], "x", color=ORANGE, ms=5, label="outside the limits")
+        axes.plot(x[~admissible], scores[~admissible], "x", color=VERMILLION, ms=5, label="outside the limits")
     axes.set(xlabel="start, best first", ylabel="worst score", title=f"{len(ends)} starts, seed {search.seed}")
     axes.xaxis.get_major_locator().set_params(integer=True)
     axes.legend(frameon=False)
-    axes.spines[["top", "right"]].set_visible(False)
+    plain(axes)
     best = [start for start in ends if start.slack >= 0][:12]
     for i, start in enumerate(best):
         polygon = search.upright_polygon(start)
-        _outline(shapes, 0.5 * polygon + np.array([i, 0.0]))
-        shapes.text(i, -0.62, f"{start.score:.4f}", ha="center", fontsize=8)
+        _shape(shapes, 0.5 * polygon + np.array([i, 0.0]))
+        shapes.text(i, -0.62, f"{start.score:.4f}", ha="center", fontsize=9)
     shapes.set(xlim=(-0.6, 11.6), ylim=(-0.7, 0.6))
     shapes.set_axis_off()
     return figure
@@ -170,7 +169,7 @@ def plot_search(search: Search) -> Figure:
 
 def plot_study(study: ShapeStudy) -> Figure:
     """Plot the simulated rotation error of every shape over its score and over its Cramer-Rao bound."""
-    figure = _figure(10.0, 4.6)
+    figure = new_figure(10.0, 4.6)
     errors = np.degrees(study.medians("e_r"))
     sides = np.array([len(shape.target) for shape in study.shapes])
     predictors = (
@@ -178,50 +177,44 @@ def plot_study(study: ShapeStudy) -> Figure:
         ("bound_r", np.degrees(study.medians("bound_r")), "median Cramér-Rao bound of the rotation (deg)"),
     )
     for axes, (name, values, label) in zip(figure.subplots(1, 2, sharey=True), predictors, strict=True):
-        for marker, least, most in (("^", 3, 3), ("s", 4, 4), ("p", 5, 5), ("o", 6, 10**6)):
+        for k, (symbol, least, most) in enumerate((("^", 3, 3), ("s", 4, 4), ("p", 5, 5), ("o", 6, 10**6))):
             chosen = (sides >= least) & (sides <= most) & np.isfinite(values)
             if chosen.any():
                 text = f"{least} sides" if least == most else "more sides"
-                axes.scatter(values[chosen], errors[chosen], marker=marker, s=36, alpha=0.75, label=text)
+                axes.scatter(
+                    values[chosen], errors[chosen], marker=symbol, color=colour(k), s=36, alpha=0.75, label=text
+                )
         for shape, x, y in zip(study.shapes, values, errors, strict=True):
             if not shape.target.name.startswith("random-") and np.isfinite(x):
-                axes.annotate(shape.target.name, (x, y), textcoords="offset points", xytext=(5, 4), fontsize=8)
+                axes.annotate(shape.target.name, (x, y), textcoords="offset points", xytext=(5, 4), fontsize=9)
         found = study.correlation(name)
         axes.set(xlabel=label, title=f"rank correlation {found.rho:+.2f} (p = {found.p_value:.1g})")
-        axes.spines[["top", "right"]].set_visible(False)
+        plain(axes)
     figure.axes[0].set_ylabel("median simulated rotation error (deg)")
-    figure.axes[0].legend(frameon=False, fontsize=8)
+    figure.axes[0].legend(frameon=False)
     return figure
 
 
 def plot_convexity() -> Figure:
     """Plot two projective images of a square: with all depths positive, and with one negative (paper, Fig. 4)."""
-    figure = _figure(9.0, 4.4)
+    figure = new_figure(9.0, 4.4)
     family = Family(4)
     for axes, elation in zip(figure.subplots(1, 2), ([0.35, 0.25], [1.8, 1.2]), strict=True):
         depths = family.depths(np.array([0.0, 0.0, 1.0, *elation]))
         image = family.nominal / depths[:, None]
-        _outline(axes, family.nominal, colour=INK, fill=False)
-        _outline(axes, image, colour=ORANGE, fill=False)
+        _shape(axes, family.nominal, colour=INK, fill=False)
+        _shape(axes, image, colour=VERMILLION, fill=False)
         for corner, depth in zip(image, depths, strict=True):
-            axes.annotate(f"{depth:+.2f}", corner, textcoords="offset points", xytext=(6, 6), fontsize=9, color=ORANGE)
+            axes.annotate(f"{depth:+.2f}", corner, textcoords="offset points", xytext=(6, 8), color=VERMILLION)
         convex = "convex" if (depths > 0).all() else "not convex"
         axes.set_title(f"v = ({elation[0]:g}, {elation[1]:g}): {convex}\ndepths v₁x + v₂y + 1 at the corners")
-        axes.margins(0.18)
+        axes.margins(0.2)
+        plain(axes).set(xlabel="x (sides of the square)", ylabel="y (sides of the square)")
     return figure
 
 
-def _figure(width: float, height: float) -> Figure:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as cause:
-        raise missing_extra("matplotlib", "plot", cause) from cause
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def _outline(axes: Axes, polygon: Floats, colour: str = BLUE, fill: bool = True) -> None:
-    closed = np.vstack([polygon, polygon[:1]])
-    axes.plot(*closed.T, color=colour, lw=1.8)
+def _shape(axes: Axes, polygon: Floats, colour: str = BLUE, fill: bool = True) -> None:
+    outline(axes, polygon, colour, lw=1.8)
     if fill:
         axes.fill(*polygon.T, color=colour, alpha=0.12, lw=0)
     axes.set_aspect("equal")

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from optshape_graph.errors import missing_extra
 from optshape_graph.evaluation.harness import Row
+from optshape_graph.viz.style import COLOURS, GREY, legend_below, new_figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = ("#1f5fa8", "#d9660f", "#2a8f4c", "#8c4fb0", "#b5313b", "#555555")
 PANELS = (("rmse_m", "RMSE of the vertices (m)"), ("e_t_m", "translation (m)"), ("e_r_deg", "rotation (deg)"))
 
 
@@ -27,12 +26,8 @@ def plot_sweep(cells: Sequence[Row]) -> Figure:
     Raises:
         MissingExtraError: matplotlib is absent.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as cause:
-        raise missing_extra("matplotlib", "plot", cause) from cause
     methods, levels, orientations = (_in_order(cells, name) for name in ("method", "noise", "orientation"))
-    figure = Figure(figsize=(5.5 * len(methods), 9.0), layout="constrained")
+    figure = new_figure(max(5.5 * len(methods), 8.0), 10.0)
     axes = figure.subplots(len(PANELS), len(methods), sharex=True, sharey="row", squeeze=False)
     for column, method in enumerate(methods):
         axes[0, column].set_title(f"method: {method}")
@@ -40,7 +35,7 @@ def plot_sweep(cells: Sequence[Row]) -> Figure:
         for row, (name, label) in enumerate(PANELS):
             panel = axes[row, column]
             panel.set_yscale("log")
-            panel.grid(alpha=0.3)
+            plain(panel)
             if column == 0:
                 panel.set_ylabel(label)
             for k, orientation in enumerate(orientations):
@@ -58,9 +53,10 @@ def plot_sweep(cells: Sequence[Row]) -> Figure:
                     if level == levels[0]:
                         panel.plot(
                             [c["range_m"] for c in bounded], [c[f"{name}_bound"] for c in bounded], style,
-                            color="#b5b5b5", lw=1.0, label=f"bound, {orientation}",
+                            color=GREY, lw=1.0, label=f"bound, {orientation}",
                         )  # fmt: skip
-    axes[0, 0].legend(fontsize=7)
+    legend_below(figure, axes[0, 0], columns=3)
+    figure.suptitle("mean errors over distance; grey: Cramér-Rao bound of the first noise level")
     return figure
 
 

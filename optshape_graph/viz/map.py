@@ -6,101 +6,105 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
-from optshape_graph.errors import missing_extra
-from optshape_graph.mapping.map import Map
+from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.track import MappingProblem
+from optshape_graph.viz.style import (
+    GREY,
+    INK,
+    VERMILLION,
+    colour,
+    ellipse,
+    legend_below,
+    magnification,
+    new_figure,
+    outline,
+    plain,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = ("#1f5fa8", "#d9660f", "#2a8f4c", "#8c4fb0", "#b5313b")
-"""Of trajectories."""
-
-LANDMARK = "#222222"
 SIGMAS = 3.0
 """Standard deviations that ellipses enclose in each direction."""
 
+MOST_NAMES = 40
+"""Landmarks whose names are written."""
 
-def plot_map(result: Map, magnify: float = 1.0) -> Figure:
+
+def plot_map(result: Map, magnify: float | None = None) -> Figure:
     """Draw landmarks, trajectories and ellipses of three standard deviations, seen along -z.
 
     Args:
         result: the map.
-        magnify: how many times the ellipses are drawn too large: where covariances are small.
+        magnify: how many times the ellipses are drawn too large; None: as many as makes them visible.
 
     Raises:
         MissingExtraError: matplotlib is absent.
     """
     figure, axes = _axes()
-    for (name, trajectory), colour in zip(
-        result.trajectories.items(), _repeated(len(result.trajectories)), strict=True
-    ):
+    for k, (name, trajectory) in enumerate(result.trajectories.items()):
         path = trajectory.poses[:, :3, 3]
-        axes.plot(path[:, 0], path[:, 1], "-", color=colour, lw=1.0, label=name or "trajectory")
-    for landmark in result.landmarks:
-        _outline(axes, landmark.vertices)
-        R = landmark.T_world_target[:3, :3]
+        axes.plot(path[:, 0], path[:, 1], "-", color=colour(k), lw=1.2, label=f"trajectory {name}".strip())
+        axes.plot(path[0, 0], path[0, 1], "o", color=colour(k), ms=5, label=None if k else "start")
+    drawn = [*(t.poses[:, :2, 3] for t in result.trajectories.values()), *(m.vertices[:, :2] for m in result.landmarks)]
+    extent = float(np.ptp(np.vstack(drawn), axis=0).max()) if drawn else 1.0
+    covariances = [_from_above(landmark) for landmark in result.landmarks]
+    if magnify is None:
+        sizes = [SIGMAS * np.sqrt(max(np.linalg.eigvalsh(C)[-1], 0.0)) for C in covariances]
+        magnify = magnification(sizes, 0.5 * extent)
+    for landmark, C in zip(result.landmarks, covariances, strict=True):
+        outline(axes, landmark.vertices[:, :2])
         place = landmark.T_world_target[:2, 3]
-        outline = place + magnify * _ellipse((R @ landmark.covariance[3:, 3:] @ R.T)[:2, :2])
-        axes.plot(outline[:, 0], outline[:, 1], color="#b5313b", lw=0.8)
-        axes.annotate(landmark.id, tuple(place), textcoords="offset points", xytext=(4, 4), fontsize=7)
+        loop = place + magnify * ellipse(C, SIGMAS)
+        axes.plot(loop[:, 0], loop[:, 1], color=VERMILLION, lw=1.0)
+        if len(result.landmarks) <= MOST_NAMES:
+            axes.annotate(landmark.id, tuple(place), textcoords="offset points", xytext=(8, 8))
+    large = "" if magnify == 1 else f", drawn {magnify:g} times too large"
+    axes.set_title(f"{len(result.landmarks)} landmarks; ellipses of {SIGMAS:g} standard deviations{large}")
     if result.trajectories:
-        axes.legend(fontsize=8)
+        legend_below(figure)
     return figure
 
 
 def plot_structure(problem: MappingProblem) -> Figure:
-    """Draw the factor graph from above: poses, odometry, and a line for every match.
+    """Draw the factor graph of a map from above: poses, odometry, and a line for every match.
+
+    `viz.graph.plot_graph` draws any GTSAM graph.
 
     Raises:
         MissingExtraError: matplotlib is absent.
     """
+    figure, axes = _axes()
     from matplotlib.collections import LineCollection
 
-    figure, axes = _axes()
-    for track, colour in zip(problem.tracks, _repeated(len(problem.tracks)), strict=True):
+    for k, track in enumerate(problem.tracks):
         path = track.T_world_lidar[:, :2, 3]
         seen = [(path[match.pose], problem.T_world_target[match.landmark][:2, 3]) for match in track.matches]
         moved = [(path[o.i], path[o.j]) for o in track.odometry]
-        axes.add_collection(LineCollection(seen, colors="#b5b5b5", linewidths=0.4))
-        axes.add_collection(LineCollection(moved, colors=colour, linewidths=1.0))
-        axes.plot(path[:, 0], path[:, 1], ".", color=colour, ms=3, label=track.name)
+        label = f"{len(seen)} matches" if k == 0 else None
+        axes.add_collection(LineCollection(seen, colors=GREY, linewidths=0.5, label=label, zorder=1))
+        axes.add_collection(LineCollection(moved, colors=colour(k), linewidths=1.2, zorder=2))
+        axes.plot(path[:, 0], path[:, 1], ".", color=colour(k), ms=4, label=f"{len(path)} poses of {track.name}")
     for name, T in problem.T_world_target.items():
-        axes.plot(*T[:2, 3], "s", color=LANDMARK, ms=5)
-        axes.annotate(name, tuple(T[:2, 3]), textcoords="offset points", xytext=(4, 4), fontsize=7)
+        axes.plot(*T[:2, 3], "s", color=INK, ms=6, zorder=3)
+        if len(problem.T_world_target) <= MOST_NAMES:
+            axes.annotate(name, tuple(T[:2, 3]), textcoords="offset points", xytext=(8, 6))
     axes.autoscale_view()
-    axes.legend(fontsize=8)
+    axes.set_title(f"factor graph: {len(problem.T_world_target)} landmarks (squares), lines from where they were seen")
+    legend_below(figure)
     return figure
 
 
 def _axes() -> tuple[Figure, Axes]:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as cause:
-        raise missing_extra("matplotlib", "plot", cause) from cause
-    figure = Figure(figsize=(8.0, 8.0), layout="constrained")
-    axes = figure.subplots()
+    figure = new_figure(8.0, 8.0)
+    axes = plain(figure.subplots())
     axes.set_aspect("equal", adjustable="datalim")
-    axes.grid(alpha=0.3)
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
+    axes.set(xlabel="x of the world (m)", ylabel="y of the world (m)")
     return figure, axes
 
 
-def _outline(axes: Axes, vertices: Floats) -> None:
-    closed = np.vstack([vertices, vertices[:1]])
-    axes.plot(closed[:, 0], closed[:, 1], color=LANDMARK, lw=1.5)
-
-
-def _ellipse(covariance: Floats) -> Floats:
-    """(K, 2) outline of SIGMAS standard deviations about the origin."""
-    values, vectors = np.linalg.eigh(covariance)
-    angle = np.linspace(0.0, 2 * np.pi, 61)
-    circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.asarray(SIGMAS * (circle * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
-
-
-def _repeated(n: int) -> list[str]:
-    return [COLOURS[k % len(COLOURS)] for k in range(n)]
+def _from_above(landmark: Landmark) -> np.ndarray:
+    """(2, 2) covariance of the place, seen along the world's -z."""
+    R = landmark.T_world_target[:3, :3]
+    return np.asarray((R @ landmark.covariance[3:, 3:] @ R.T)[:2, :2])

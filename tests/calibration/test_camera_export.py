@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,9 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from optshape_graph.calibration.camera_calibration import calibrate
 from optshape_graph.calibration.camera_export import as_document, kalibr_camchain, static_transforms
+from optshape_graph.errors import InputError
 from optshape_graph.io import load_camera
 from optshape_graph.io.documents import write_json, write_yaml
-from tests.calibration.camera_support import FISHEYE, synthetic_views, transform
+from tests.calibration.camera_support import FISHEYE, PINHOLE, synthetic_views, transform
 
 
 @pytest.fixture(scope="module")
@@ -41,12 +43,41 @@ def test_json_has_the_stated_keys(calibration, tmp_path):
 
 def test_camchain_reads_back(calibration, tmp_path):
     chain = kalibr_camchain(calibration)
-    extrinsic = chain["cam0"].pop("T_cam_lidar")
+    extrinsic = chain["cam0"]["T_cam_lidar"]
     assert np.allclose(extrinsic, calibration.transform("cam", "lidar")[0])
     write_yaml(tmp_path / "camchain.yaml", chain)
     camera = load_camera(tmp_path / "camchain.yaml")
     assert np.allclose(camera.K, FISHEYE.K)
     assert np.allclose(camera.D, FISHEYE.D)
+
+
+@pytest.mark.parametrize(
+    ("D", "model", "coefficients"),
+    [((), "none", []), ((0.0,) * 5, "none", []), ((-0.2, 0.1, 0.0, 1e-3, 0.0), "radtan", [-0.2, 0.1, 0.0, 1e-3])],
+)
+def test_camchain_has_kalibrs_models(calibration, D, model, coefficients):
+    """Kalibr knows four terms, or none."""
+    rig = replace(calibration.rig, cameras={"cam": replace(PINHOLE, D=np.array(D, float))})
+    entry = kalibr_camchain(replace(calibration, rig=rig))["cam0"]
+    assert entry["distortion_model"] == model
+    assert entry["distortion_coeffs"] == coefficients
+
+
+def test_camchain_refuses_what_kalibr_has_not(calibration):
+    rig = replace(calibration.rig, cameras={"cam": replace(PINHOLE, D=np.array([-0.2, 0.1, 0, 0, 0.05]))})
+    with pytest.raises(InputError, match="camera 'cam': 5 distortion terms; Kalibr's radtan model has"):
+        kalibr_camchain(replace(calibration, rig=rig))
+
+
+def test_json_says_what_the_targets_and_lenses_are(calibration):
+    document = as_document(calibration)
+    (shape,) = document["targets"]
+    assert (shape["target"], shape["lidar"], shape["agrees"]) == ("board", "lidar", True)
+    assert np.shape(shape["measured_sides_m"]) == np.shape(shape["sides_m"]) == np.shape(shape["sigma_m"]) == (4,)
+    assert len(shape["scans"]) == 6
+    assert document["cameras"][0]["refined"] is False
+    assert abs(document["edge_inset_deg"] - 0.1) < 0.5  # half a step, and half a beam either way
+    assert {view["lidar"] for view in document["views"]} == {"lidar"}
 
 
 def test_ros_and_urdf_lines_are_the_transform():

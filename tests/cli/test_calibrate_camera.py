@@ -23,7 +23,7 @@ def test_writes_everything(session):
     (session / "3.png").write_bytes(b"broken")
     result = run(
         session / "session.yaml", "--use-target-points", "--json", session / "out.json",
-        "--overlays", session / "overlays", "--camchain", session / "camchain.yaml",
+        "--plot", session / "overlays", "--camchain", session / "camchain.yaml",
     )  # fmt: skip
     assert result.exception is None, result.exception
     assert result.return_value == 3  # one view was not used
@@ -32,7 +32,8 @@ def test_writes_everything(session):
     assert [view["used"] for view in document["views"]] == [True, True, True, False]
     assert "cam0" in yaml.safe_load((session / "camchain.yaml").read_text())
     overlays = sorted((session / "overlays").iterdir())
-    assert len(overlays) == 3
+    assert [path.name for path in overlays[3:]] == ["errors.png"]
+    assert str(overlays[-1]) in result.output
     assert cv2.imread(str(overlays[0])).shape == (1208, 1920, 3)
     for text in ("T_front_vlp16", "T_vlp16_front", "rosrun tf2_ros", "ros2 run tf2_ros", "URDF: <origin", "range bias"):
         assert text in result.output

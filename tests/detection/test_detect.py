@@ -29,6 +29,9 @@ def test_found_with_its_returns(sensor, target: Target, distance: float, seed: i
     mine, others = shares(found, simulated)
     assert mine >= 0.97
     assert others <= 0.01
+    undoubted = found.indices[~found.doubtful]
+    assert 0.85 < len(undoubted) / len(found.indices) < 1.0
+    assert (simulated.surface[undoubted] == 0).all()
     assert found.status == "ok"
     assert found.target is target
     assert error_mm(found, T) < 15
@@ -92,7 +95,14 @@ def test_nearly_equal_shapes_are_flagged() -> None:
     found = only(detect_targets(simulated.scan, [PAPER, built]))
     assert found.status == "ambiguous"
     assert {found.target.name, found.rival.name} == {PAPER.name, built.name}
-    assert found.reason
+    assert set(found.probabilities) == {PAPER.name, built.name}
+    assert sum(found.probabilities.values()) == pytest.approx(1.0)
+    assert next(iter(found.probabilities)) == found.target.name
+    assert np.log(found.probabilities[found.target.name] / found.probabilities[found.rival.name]) == pytest.approx(
+        found.margin
+    )
+    assert f"'{PAPER.name}'" in found.reason
+    assert f"'{built.name}'" in found.reason
 
 
 def test_hung_before_a_wall() -> None:

@@ -35,13 +35,13 @@ def camera_corners() -> dict[str, np.ndarray]:
     return {name: (c - camera.mean(0)) @ R.T + lidar.mean(0) for name, c in corners.items()}
 
 
-def on_board(points: np.ndarray, corners: np.ndarray, margin: float = 0.0) -> np.ndarray:
-    """Within 3 cm of the camera's plane, inside its outline or `margin` outside, metres."""
+def on_board(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Within 3 cm of the camera's plane, inside its outline."""
     along, up = corners[1] - corners[0], corners[3] - corners[0]
     a, b = np.linalg.norm(along), np.linalg.norm(up)
     x, y = (points - corners[0]) @ along / a, (points - corners[0]) @ up / b
     normal = np.cross(along, up) / (a * b)
-    inside = (x > -margin) & (x < a + margin) & (y > -margin) & (y < b + margin)
+    inside = (x > 0) & (x < a) & (y > 0) & (y < b)
     return inside & (np.abs((points - corners[0]) @ normal) < 0.03)
 
 
@@ -68,17 +68,21 @@ def test_its_returns(found, camera_corners) -> None:
         assert np.mean([tuple(point) not in crop_rows for point in points.round(4)]) <= 0.01, name
 
 
-def test_others(found, camera_corners) -> None:
-    """What is found beyond 3 cm or outside is where camera and LiDAR disagree about the plane by a centimetre.
+def test_undoubted_returns(found, camera_corners) -> None:
+    """What the command gives out: hardly any beyond 3 cm or outside the camera's outline, and most of the board's.
 
-    The rigid fit between them leaves 9 mm; a return's range has a standard deviation of 13 mm.
+    Here camera and LiDAR are related by the rigid fit of the peer's centres alone, which leaves 9 mm.
     """
     sensor = load_sensor("vlp16")
-    others = []
+    others, mine = [], []
     for name in NAMES:
         if name == MIRRORED:
             continue
         (one,) = found[name].found
-        points = read_scan(CAMERA / f"scans/{name}_full.pcd", sensor).points[one.indices]
-        others.append(1 - on_board(points, camera_corners[name], margin=0.01).mean())
-    assert np.median(others) <= 0.03
+        points = read_scan(CAMERA / f"scans/{name}_full.pcd", sensor).points[one.indices[~one.doubtful]]
+        crop = read_scan(CAMERA / f"scans/{name}_target.pcd", sensor).points
+        others.append(1 - on_board(points, camera_corners[name]).mean())
+        rows = {tuple(point) for point in points.round(4)}
+        mine.append(np.mean([tuple(point) in rows for point in crop[on_board(crop, camera_corners[name])].round(4)]))
+    assert np.mean(others) <= 0.03
+    assert np.min(mine) >= 0.9

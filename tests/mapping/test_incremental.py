@@ -170,8 +170,8 @@ def test_without_odometry_landmarks_alone_place_the_poses():
 def test_a_lag_bounds_what_is_held():
     slam = drive(WORLD, 10, LandmarkSlam(lag=15.0))
     assert len(slam.landmarks) == 6
-    assert len(slam._held) < 60
-    assert not slam._odometry
+    assert len(slam._graph.matches) < 60
+    assert not slam._graph.odometry
     with pytest.raises(InputError, match="not kept"):
         slam.problem()
     with pytest.raises(InputError, match="pose 3 is not in the graph"):

@@ -11,7 +11,7 @@ import numpy as np
 
 from optshape_graph import Scan, SensorModel, Target
 from optshape_graph.calibration.mocap_comparison import align
-from optshape_graph.io import load_sensor, load_target
+from optshape_graph.io import load_sensor, load_target, read_scan
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 from tests.shared import SHARED
@@ -51,6 +51,14 @@ def reference_cases() -> tuple[Case, ...]:
                 rmse, e_r = published[distance, face]
                 cases.append(Case(scan.name, scan, align(vertices, target.vertices), vertices, rmse, e_r))
     return tuple(cases)
+
+
+@cache
+def recorded_cases() -> tuple[tuple[Scan, Target], ...]:
+    """The ten recorded scans of the built target."""
+    folder, sensor = SHARED / "data" / "mocap", load_sensor("vlp32c")
+    target = load_target(folder / "target.yaml")
+    return tuple((read_scan(path, sensor), target) for path in sorted(folder.glob("session*/*.pcd")))
 
 
 def errors(estimate: PoseEstimate, T_lidar_target: np.ndarray) -> tuple[float, float]:

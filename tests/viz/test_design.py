@@ -7,6 +7,8 @@ from optshape_graph.design.rings import UniformRings
 from optshape_graph.io.sensors import load_sensor
 from optshape_graph.io.targets import load_target
 from optshape_graph.viz import design as viz
+from optshape_graph.viz.style import save_figure
+from tests.viz.legible import assert_legible
 
 
 @pytest.fixture(scope="module")
@@ -15,9 +17,8 @@ def target():
 
 
 def drawn(figure, tmp_path):
-    path = tmp_path / "plot.png"
-    figure.savefig(path, dpi=40)
-    return path.stat().st_size > 1000
+    assert_legible(figure)
+    return save_figure(figure, tmp_path / "plot.png").stat().st_size > 1000
 
 
 def test_cells_show_every_edge_point_of_the_worst_cell(target, tmp_path):

@@ -10,9 +10,10 @@ from optshape_graph.viz.map import plot_map, plot_structure
 from tests.factors.support import TARGET
 from tests.mapping.support import at, covariance, loop
 from tests.mapping.test_batch import problem_of
+from tests.viz.legible import assert_legible
 
 
-def test_landmarks_and_ellipses_are_where_they_belong(tmp_path):
+def test_landmarks_and_ellipses_are_where_they_belong():
     T = at(3.0, 4.0, 0.5)
     C = covariance([0.1, 0.1, 0.1, 0.2, 0.1, 0.1])
     figure = plot_map(Map((Landmark("a", TARGET, T, C),)))
@@ -22,7 +23,7 @@ def test_landmarks_and_ellipses_are_where_they_belong(tmp_path):
     radii = np.linalg.norm(ellipse - T[:2, 3], axis=1)
     assert radii.max() == pytest.approx(0.6, rel=1e-2)
     assert radii.min() == pytest.approx(0.3, rel=1e-2)
-    figure.savefig(tmp_path / "map.png")
+    assert_legible(figure)
 
 
 def test_structure_has_a_line_for_every_factor():
@@ -31,3 +32,13 @@ def test_structure_has_a_line_for_every_factor():
     seen, moved = figure.axes[0].collections
     assert len(seen.get_segments()) == len(problem.tracks[0].matches)
     assert len(moved.get_segments()) == 19
+    assert_legible(figure)
+
+
+def test_small_ellipses_are_drawn_larger_and_it_says_so():
+    C = covariance([0.001] * 6)
+    landmarks = tuple(Landmark(name, TARGET, at(x, 0.0, 0.5), C) for name, x in (("a", 0.0), ("b", 10.0)))
+    figure = plot_map(Map(landmarks))
+    assert "drawn 100 times too large" in figure.axes[0].get_title()
+    loop = figure.axes[0].lines[1].get_xydata()
+    assert np.linalg.norm(loop - [0.0, 0.0], axis=1).max() == pytest.approx(100 * 3 * 0.001, rel=1e-2)

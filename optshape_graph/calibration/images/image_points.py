@@ -16,12 +16,15 @@ class ImagePoints:
 
     Attributes:
         points: (m, 3) metres, target frame.
-        pixels: (m, 2) where they appear, (u, v).
+        pixels: (m, 2) where they appear, (u, v), pixels.
         sqrt_information: (m, 2, 2) square-root information of each pixel, 1 / px: a corner has the inverse of its
             standard deviation on the diagonal, a point of an edge weighs across the edge only.
         symmetries: (4, 4) motions S of the target that the image cannot tell from none: S applied to `points` is
             as good a labelling of the same pixels. The first is the identity.
         printed: whether the points belong to a pattern printed or glued on the target, not to its outline.
+
+    Raises:
+        InputError: shapes that do not fit, or values that are not finite.
     """
 
     points: Floats
@@ -43,7 +46,14 @@ class ImagePoints:
     def of_pattern(
         cls, points: Floats, pixels: Floats, sigma_px: float, symmetries: tuple[Floats, ...] = (np.eye(4),)
     ) -> ImagePoints:
-        """Make image points of a printed pattern with one standard deviation in pixels, the same both ways."""
+        """Make image points of a printed pattern.
+
+        Args:
+            points: (m, 3) metres, target frame.
+            pixels: (m, 2) where they appear, (u, v), pixels.
+            sigma_px: standard deviation, pixels, the same both ways.
+            symmetries: (4, 4) motions of the target that the image cannot tell from none.
+        """
         W = np.broadcast_to(np.eye(2) / sigma_px, (len(points), 2, 2))
         return cls(points, pixels, W, symmetries, printed=True)
 
@@ -51,7 +61,7 @@ class ImagePoints:
         return len(self.points)
 
     def relabelled(self, S: Floats) -> ImagePoints:
-        """Return the same pixels as points S p of the target, S one of `symmetries`."""
+        """Return the same pixels as points S p of the target, S (4, 4) one of `symmetries`."""
         return replace(self, points=self.points @ S[:3, :3].T + S[:3, 3])
 
     def scaled_noise(self, factor: float) -> ImagePoints:

@@ -12,9 +12,10 @@ import numpy as np
 from optshape_graph._arrays import Bools, Floats
 from optshape_graph.calibration.images.image_points import ImagePoints, turn_about
 from optshape_graph.calibration.images.planar_pose import refine_pose
-from optshape_graph.calibration.images.projection import opencv, project
+from optshape_graph.calibration.images.projection import project
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import EstimationError
+from optshape_graph.io.image_files import opencv
 from optshape_graph.target import Target
 
 POINTS_PER_EDGE = 40

@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from optshape_graph._arrays import Floats, frozen
 from optshape_graph.calibration.images.image_points import ImagePoints
-from optshape_graph.calibration.images.projection import normalised, opencv, project, projected, projection_derivative
+from optshape_graph.calibration.images.projection import normalised, project, projected, projection_derivative
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.se3 import skew
+from optshape_graph.io.image_files import opencv
 
 SAME_POSE = (np.radians(0.5), 2e-3)
 """Rotation, rad, and translation relative to the distance, under which two minima are one."""
@@ -99,12 +100,19 @@ def refine_pose(image: ImagePoints, camera: CameraIntrinsics, T_camera_target: F
 
 def pose_at(image: ImagePoints, camera: CameraIntrinsics, T_camera_target: Floats) -> PlanarPose:
     """Return the information and the reprojection error of a pose (4, 4)."""
+    errors = project(camera, image.points @ T_camera_target[:3, :3].T + T_camera_target[:3, 3]) - image.pixels
+    _, J = whitened_errors(image, camera, T_camera_target)
+    return PlanarPose(T_camera_target, J.T @ J, float(np.sqrt((errors**2).sum(axis=1).mean())))
+
+
+def whitened_errors(image: ImagePoints, camera: CameraIntrinsics, T_camera_target: Floats) -> tuple[Floats, Floats]:
+    """Return the whitened errors (2 m,) at a pose (4, 4), and their derivative (2 m, 6) by its right perturbation."""
     R, t = T_camera_target[:3, :3], T_camera_target[:3, 3]
     in_camera = image.points @ R.T + t
-    errors = project(camera, in_camera) - image.pixels
+    errors = np.einsum("nij,nj->ni", image.sqrt_information, project(camera, in_camera) - image.pixels)
     motion = np.concatenate([-R @ skew(image.points), np.broadcast_to(R, (len(image), 3, 3))], axis=2)
     J = (image.sqrt_information @ projection_derivative(camera, in_camera) @ motion).reshape(-1, 6)
-    return PlanarPose(T_camera_target, J.T @ J, float(np.sqrt((errors**2).sum(axis=1).mean())))
+    return errors.ravel(), J
 
 
 def _faces_camera(T_camera_target: Floats) -> bool:

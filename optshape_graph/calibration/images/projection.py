@@ -6,29 +6,14 @@ PAMI 2006). Camera frame: x right, y down, z forward; pixels (u, v) from the cen
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.camera import CameraIntrinsics
-from optshape_graph.errors import missing_extra
+from optshape_graph.io.image_files import opencv
 
 NEWTON_STEPS = 10
 NEGLIGIBLE_PX = 1e-7
-
-
-def opencv() -> Any:
-    """Return the `cv2` module.
-
-    Raises:
-        MissingExtraError: OpenCV is not installed.
-    """
-    try:
-        import cv2
-    except ImportError as cause:
-        raise missing_extra("opencv-python-headless", "camera", cause) from cause
-    return cv2
 
 
 def project(camera: CameraIntrinsics, points: Floats) -> Floats:

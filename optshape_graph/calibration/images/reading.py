@@ -15,12 +15,12 @@ from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.outline import fit_outline
 from optshape_graph.calibration.images.pixel_table import read_pixel_table
 from optshape_graph.calibration.images.planar_pose import planar_poses
-from optshape_graph.calibration.images.projection import opencv
 from optshape_graph.calibration.images.tags import find_tags
 from optshape_graph.calibration.sightings import TargetInImage
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.files import read_bytes
+from optshape_graph.io.image_files import decode_image, opencv
 from optshape_graph.target import Target
 
 LARGEST_ERROR = 5.0
@@ -93,14 +93,9 @@ def read_grey(path: Path) -> np.ndarray:
     """Read an image as (h, w) grey values, 8 bit.
 
     Raises:
-        InputError: the file is missing or not an image that OpenCV reads.
+        InputError: the file is missing, not an image that OpenCV reads, or unreasonably large.
     """
-    cv2 = opencv()
-    data = np.frombuffer(read_bytes(path), np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
-    if image is None:
-        raise InputError(f"{path}: not an image that OpenCV can read ({len(data)} bytes)")
-    return np.asarray(image)
+    return decode_image(read_bytes(path), str(path), channels=1)
 
 
 def _attempt(task: ImageTask) -> TargetInImage | EstimationError | InputError:

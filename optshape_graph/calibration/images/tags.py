@@ -6,8 +6,8 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.images.image_points import ImagePoints, turn_about
-from optshape_graph.calibration.images.projection import opencv
 from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.io.image_files import opencv
 from optshape_graph.target import Tags
 
 CORNER_SIGMA_PX = 0.5

@@ -2,6 +2,7 @@
 
 from optshape_graph.io.recordings.clocks import ClockOffset, estimate_clock_offset, marker_rotations
 from optshape_graph.io.recordings.extraction import Extraction, Selection, estimate_mocap_offset, extract_session
+from optshape_graph.io.recordings.frames import Mounting
 from optshape_graph.io.recordings.images import CompressedImage, Image, RawImage
 from optshape_graph.io.recordings.recording import Recording
 from optshape_graph.io.recordings.stream import Skipped, Stamped, Stream
@@ -12,6 +13,7 @@ __all__ = [
     "CompressedImage",
     "Extraction",
     "Image",
+    "Mounting",
     "RawImage",
     "Recording",
     "Selection",

@@ -9,8 +9,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io.recordings import messages
+from optshape_graph.io.recordings.decompression import bound_rosbags
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.recordings.topics import Topic
 from optshape_graph.sensor import SensorModel
@@ -49,7 +51,11 @@ class Bag:
 
     @cached_property
     def topics(self) -> tuple[Topic, ...]:
-        """Topics as recorded, and the moving transforms found at the beginning of the tf topics."""
+        """Topics as recorded, and the moving transforms found at the beginning of the tf topics.
+
+        Raises:
+            InputError: the bag cannot be read.
+        """
         transforms = [
             Topic(f"{topic.name}:{parent}:{child}", "pose", topic.type, None)
             for topic in self._recorded
@@ -59,7 +65,11 @@ class Bag:
         return self._recorded + tuple(transforms)
 
     def read(self, topic: Topic, skipped: Skipped, sensor: SensorModel | None = None) -> Iterator[Stamped[Any]]:
-        """Yield what a topic holds in order of recording: `Scan`, `Image`, `CameraIntrinsics` or a (4, 4) pose."""
+        """Yield what a topic holds in order of recording: `Scan`, `Image`, `CameraIntrinsics` or a (4, 4) pose.
+
+        Raises:
+            InputError: the bag cannot be read.
+        """
         name = topic.name.rsplit(":", 2)[0] if topic.type in messages.TRANSFORMS else topic.name
         for number, data in enumerate(self._raw(name, skipped)):
             where = f"{self.path} {name} message {number}"
@@ -81,6 +91,39 @@ class Bag:
             _, parent, child = topic.name.rsplit(":", 2)
             return list(messages.decode_transform(self.ros, topic.type, data, parent, child))
         return [messages.decode_pose(self.ros, topic.type, data)]
+
+    def frame(self, topic: Topic) -> str:
+        """Return the frame that a topic of scans is in, or that a topic of poses is of; empty where it is not said.
+
+        Raises:
+            InputError: the bag cannot be read.
+        """
+        if topic.type in messages.TRANSFORMS:
+            return topic.name.rsplit(":", 1)[1]
+        with closing(self._raw(topic.name, Skipped())) as raw:
+            for data in itertools.islice(raw, SURVEYED):
+                try:
+                    return messages.frame_of(messages.read_message(self.ros, topic.type, data), topic.kind)
+                except BadMessage:
+                    continue
+        return ""
+
+    def static_transforms(self) -> dict[tuple[str, str], Floats]:
+        """Return T_parent_child (4, 4), by names of parent and child, of all static transforms.
+
+        Raises:
+            InputError: the bag cannot be read.
+        """
+        found: dict[tuple[str, str], Floats] = {}
+        for topic in self._recorded:
+            if topic.type in messages.TRANSFORMS and topic.name.endswith("tf_static"):
+                with closing(self._raw(topic.name, Skipped())) as raw:
+                    for data in raw:
+                        try:
+                            found |= messages.transforms_in(messages.read_message(self.ros, topic.type, data))
+                        except BadMessage:
+                            continue
+        return found
 
     def _transforms(self, topic: Topic) -> list[tuple[str, str]]:
         found: dict[tuple[str, str], None] = {}
@@ -124,6 +167,7 @@ class Bag:
             from rosbags.rosbag2 import Reader as Reader2
         except ImportError as cause:
             raise missing_extra("rosbags", "ros", cause) from cause
+        bound_rosbags()
         try:
             reader: Any = Reader1(self.path) if self.ros == 1 else Reader2(self.path)
             reader.open()

@@ -111,8 +111,15 @@ def estimate_clock_offset(
 def angular_speed(stamps: Floats, rotations: Rotation) -> tuple[Floats, Bools]:
     """Sample the angular speed of a body, rad/s, every `STEP` from `SPAN` / 2 after the first stamp on.
 
+    Args:
+        stamps: (N,) seconds, increasing.
+        rotations: N of the body.
+
     Returns:
-        (S,) speed averaged over `SPAN`, and (S,) whether there were stamps near enough to tell.
+        (S,) speed averaged over `SPAN`, rad/s, and (S,) whether there were stamps near enough to tell.
+
+    Raises:
+        InputError: too few poses, or over too short a time, to show a motion.
     """
     if len(stamps) < 3 or stamps[-1] - stamps[0] < 2 * SPAN:
         raise InputError(f"clock offset: {len(stamps)} poses do not show a motion")
@@ -134,9 +141,15 @@ def masked_correlation(a: Floats, seen_a: Bools, b: Floats, seen_b: Bools) -> tu
 
     Padfield, Masked Object Registration in the Fourier Domain, IEEE TIP 21(5), 2012, in one dimension.
 
+    Args:
+        a: (N,) samples, any unit.
+        seen_a: (N,) whether each was seen.
+        b: (M,) samples, any unit.
+        seen_b: (M,) whether each was seen.
+
     Returns:
-        (L,) lags in samples: sample i of a lies over sample i - lag of b; (L,) Pearson correlation; (L,) samples seen
-        by both.
+        (L,) lags, numbers of samples: sample i of a lies over sample i - lag of b; (L,) Pearson correlation; (L,)
+        number of samples seen by both.
     """
     mean = (a[seen_a].mean() + b[seen_b].mean()) / 2  # correlations do not change, rounding does
     a, b = np.where(seen_a, a - mean, 0.0), np.where(seen_b, b - mean, 0.0)

@@ -16,7 +16,7 @@ from typing import Any
 
 from optshape_graph.errors import InputError
 from optshape_graph.io.clouds import read_scan
-from optshape_graph.io.files import read_bytes, read_text
+from optshape_graph.io.files import inside, is_file, read_bytes, read_text
 from optshape_graph.io.recordings.epochs import ticks_per_second
 from optshape_graph.io.recordings.images import CompressedImage
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
@@ -60,18 +60,22 @@ class Folder:
         return Topic(name, kind, common, counted[kind]) if counted[kind] else None
 
     def read(self, topic: Topic, skipped: Skipped, sensor: SensorModel | None = None) -> Iterator[Stamped[Any]]:
-        """Yield what a topic holds in the order of its timestamps file: `Scan`, `Image` or a (4, 4) pose."""
+        """Yield what a topic holds in the order of its timestamps file: `Scan`, `Image` or a (4, 4) pose.
+
+        Raises:
+            InputError: the timestamps do not fit the files, or lead out of the folder.
+        """
         if topic.kind == "pose":
             trajectory = read_tum(self._inside(self.path / topic.name))
             assert trajectory.stamps is not None  # TUM has them
             yield from map(Stamped, trajectory.stamps.tolist(), trajectory.poses)
             return
         for stamp, file in self._stamped_files(topic):
-            inside = self._inside(file)
+            self._inside(file)
             try:
-                value = self._read(inside, topic.kind, sensor)
+                value = self._read(file, topic.kind, sensor)
             except InputError as error:
-                problem = "unreadable file" if inside.is_file() else "file missing"
+                problem = "unreadable file" if is_file(file) else "file missing"
                 skipped.add(BadMessage(problem, str(error)), str(file))
                 continue
             yield Stamped(stamp, value)
@@ -98,9 +102,7 @@ class Folder:
         return [(_stamp(words[0], f"{stamp_file}:{n}"), file) for (n, words), file in zip(lines, files, strict=True)]
 
     def _inside(self, file: Path) -> Path:
-        if not file.resolve().is_relative_to(self.path.resolve()):
-            raise InputError(f"{file}: leads out of the recording's folder {self.path}, to {file.resolve()}")
-        return file
+        return inside(file, self.path, "the recording's folder")
 
 
 def _stamp_file(folder: Path) -> Path | None:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optshape_graph.camera import CameraIntrinsics
-from optshape_graph.errors import InputError, missing_extra
+from optshape_graph.errors import InputError
 from optshape_graph.io.cameras import ROS_MODELS
+from optshape_graph.io.image_files import decode_image, opencv
 from optshape_graph.io.recordings.stream import BadMessage
 
 Pixels = NDArray[np.uint8]
@@ -46,7 +47,7 @@ class RawImage:
         values = self.rows if channels == 1 else self.rows.reshape(len(self.rows), -1, channels)
         if self.encoding not in CONVERSIONS:
             return values
-        cv2 = _opencv()
+        cv2 = opencv()
         return np.asarray(cv2.cvtColor(values, getattr(cv2, CONVERSIONS[self.encoding])), dtype=np.uint8)
 
 
@@ -68,11 +69,10 @@ class CompressedImage:
         Raises:
             BadMessage: the bytes do not decode.
         """
-        cv2 = _opencv()
-        pixels = cv2.imdecode(np.frombuffer(self.data, np.uint8), cv2.IMREAD_ANYCOLOR)
-        if pixels is None:
-            raise BadMessage("undecodable image", f"{len(self.data)} bytes")
-        return np.asarray(pixels, dtype=np.uint8)
+        try:
+            return decode_image(self.data, f"{len(self.data)} bytes")
+        except InputError as error:
+            raise BadMessage("undecodable image", str(error)) from error
 
 
 Image = RawImage | CompressedImage
@@ -134,15 +134,7 @@ def camera_intrinsics(message: Any, name: str) -> CameraIntrinsics:
 
 def encode_png(pixels: Pixels) -> bytes:
     """Return a PNG file of (H, W) or (H, W, 3) pixels in OpenCV's order."""
-    ok, data = _opencv().imencode(".png", pixels)
+    ok, data = opencv().imencode(".png", pixels)
     if not ok:
         raise BadMessage("undecodable image", f"pixels of shape {pixels.shape} make no PNG file")
     return bytes(data)
-
-
-def _opencv() -> Any:
-    try:
-        import cv2
-    except ImportError as cause:
-        raise missing_extra("opencv-python-headless", "camera", cause) from cause
-    return cv2

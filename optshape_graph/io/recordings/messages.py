@@ -155,6 +155,17 @@ def frames_of(transform: Any) -> tuple[str, str]:
     return transform.header.frame_id.lstrip("/"), transform.child_frame_id.lstrip("/")
 
 
+def frame_of(message: Any, kind: Kind) -> str:
+    """Return the frame that a scan is in, or that a pose is of; empty where the message does not say."""
+    frame = message.header.frame_id if kind == "scan" else getattr(message, "child_frame_id", "")
+    return str(frame).lstrip("/")
+
+
+def transforms_in(message: Any) -> dict[tuple[str, str], Floats]:
+    """Return T_parent_child (4, 4) of a TFMessage, by names of parent and child."""
+    return {frames_of(transform): _transform(transform).value for transform in message.transforms}
+
+
 def stamp_of(message: Any) -> float:
     """Return a message's header stamp, seconds."""
     stamp = message.header.stamp

@@ -12,6 +12,7 @@ from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.recordings.bags import Bag, is_bag
 from optshape_graph.io.recordings.folders import Folder
+from optshape_graph.io.recordings.frames import Mounting, chained
 from optshape_graph.io.recordings.images import Image
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped, Stream
 from optshape_graph.io.recordings.topics import Kind, Topic, choose, listed
@@ -96,6 +97,19 @@ class Recording:
     def poses(self, topic: str | None = None) -> Stream[Floats]:
         """Return the poses of a topic, (4, 4): of its moving frame in the frame that its header names."""
         return self._stream(self.topic("pose", topic))
+
+    def mounting(self, scan_topic: str | None = None, pose_topic: str | None = None) -> Mounting:
+        """Return where the LiDAR of a topic of scans sits on the body whose poses another topic has.
+
+        Args:
+            scan_topic: its name; None: the only one.
+            pose_topic: its name; None: the only one.
+        """
+        if not isinstance(self._source, Bag):
+            return Mounting("", "", None)
+        lidar = self._source.frame(self.topic("scan", scan_topic))
+        body = self._source.frame(self.topic("pose", pose_topic))
+        return Mounting(body, lidar, chained(self._source.static_transforms(), body, lidar) if body and lidar else None)
 
     def cameras(self, topic: str | None = None) -> Stream[CameraIntrinsics]:
         """Return the camera parameters of a topic."""

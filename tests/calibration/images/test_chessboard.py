@@ -8,11 +8,11 @@ from optshape_graph.calibration.images.planar_pose import planar_poses
 from optshape_graph.calibration.images.reading import ImageTask, find_targets, read_grey
 from optshape_graph.calibration.sightings import TargetInImage
 from optshape_graph.errors import EstimationError
+from optshape_graph.evaluation.rendering import render_target
 from optshape_graph.io import load_session
 from optshape_graph.io.documents import read_json
 from optshape_graph.target import Chessboard
 from tests.calibration.camera_support import BOARD, FISHEYE, PINHOLE, T_CAMERA_LIDAR, placement
-from tests.calibration.images.rendering import rendered
 from tests.shared import SHARED, needs_shared
 
 
@@ -25,7 +25,7 @@ def half_turned(T: np.ndarray, symmetries: tuple[np.ndarray, ...]) -> list[np.nd
 def test_rendered_chessboard_gives_the_pose_it_was_rendered_at(camera, seed):
     rng = np.random.default_rng(seed)
     T = T_CAMERA_LIDAR @ placement(rng)
-    found = find_chessboard(rendered(BOARD, camera, T, rng), BOARD.chessboard)
+    found = find_chessboard(render_target(BOARD, camera, T, rng), BOARD.chessboard)
     pose = planar_poses(found, camera)[0]
     assert pose.rms_px < 0.15  # rendering with 2 x 2 samples a pixel, grey levels rounded
     error = min(
@@ -37,7 +37,7 @@ def test_rendered_chessboard_gives_the_pose_it_was_rendered_at(camera, seed):
 def test_either_order_of_the_corners_is_a_symmetry():
     rng = np.random.default_rng(3)
     T = T_CAMERA_LIDAR @ placement(rng)
-    found = find_chessboard(rendered(BOARD, PINHOLE, T, rng), BOARD.chessboard)
+    found = find_chessboard(render_target(BOARD, PINHOLE, T, rng), BOARD.chessboard)
     for S in found.symmetries:
         again = found.relabelled(S)
         assert np.allclose(np.sort(again.points, axis=0), np.sort(found.points, axis=0), atol=1e-12)
@@ -48,7 +48,7 @@ def test_square_pattern_has_quarter_turns():
     rng = np.random.default_rng(4)
     T = T_CAMERA_LIDAR @ placement(rng)
     board = Chessboard((5, 5), 0.095)
-    found = find_chessboard(rendered(replace(BOARD, chessboard=board), PINHOLE, T, rng), board)
+    found = find_chessboard(render_target(replace(BOARD, chessboard=board), PINHOLE, T, rng), board)
     assert len(found.symmetries) == 4
 
 

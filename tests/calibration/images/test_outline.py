@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 from optshape_graph.calibration.images.outline import fit_outline
 from optshape_graph.calibration.images.planar_pose import refine_pose
 from optshape_graph.errors import EstimationError
+from optshape_graph.evaluation.rendering import render_target
 from optshape_graph.target import Target
 from tests.calibration.camera_support import BOARD, FISHEYE, T_CAMERA_LIDAR, placement, transform
-from tests.calibration.images.rendering import rendered
 
 PLAIN = replace(BOARD, chessboard=None)
 TRIANGLE = Target.from_polygon([(-0.5, -0.3), (0.5, -0.35), (0.05, 0.5)], "triangle")
@@ -20,7 +20,7 @@ TRIANGLE = Target.from_polygon([(-0.5, -0.3), (0.5, -0.35), (0.05, 0.5)], "trian
 def test_outline_from_a_rough_start(target, seed):
     rng = np.random.default_rng(seed)
     T = T_CAMERA_LIDAR @ placement(rng)
-    image = rendered(target, FISHEYE, T, rng)
+    image = render_target(target, FISHEYE, T, rng)
     nudge = transform(Rotation.from_rotvec(rng.normal(0, 0.02, 3)).as_matrix(), rng.normal(0, 0.015, 3))
     points = fit_outline(image, target, FISHEYE, T @ nudge)
     pose = refine_pose(points, FISHEYE, T @ nudge)
@@ -41,5 +41,5 @@ def test_no_edges_are_said():
 def test_symmetries_are_the_targets():
     rng = np.random.default_rng(5)
     T = T_CAMERA_LIDAR @ placement(rng)
-    assert len(fit_outline(rendered(PLAIN, FISHEYE, T, rng), PLAIN, FISHEYE, T).symmetries) == 2
-    assert len(fit_outline(rendered(TRIANGLE, FISHEYE, T, rng), TRIANGLE, FISHEYE, T).symmetries) == 1
+    assert len(fit_outline(render_target(PLAIN, FISHEYE, T, rng), PLAIN, FISHEYE, T).symmetries) == 2
+    assert len(fit_outline(render_target(TRIANGLE, FISHEYE, T, rng), TRIANGLE, FISHEYE, T).symmetries) == 1

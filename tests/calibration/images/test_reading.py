@@ -9,8 +9,8 @@ from optshape_graph.calibration.images.projection import project
 from optshape_graph.calibration.images.reading import ImageTask, find_target, find_targets
 from optshape_graph.calibration.sightings import TargetInImage
 from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.evaluation.rendering import render_target
 from tests.calibration.camera_support import BOARD, FISHEYE, PINHOLE, T_CAMERA_LIDAR, placement
-from tests.calibration.images.rendering import rendered
 
 PLAIN = replace(BOARD, chessboard=None)
 
@@ -20,7 +20,7 @@ def picture(tmp_path_factory):
     rng = np.random.default_rng(0)
     T = T_CAMERA_LIDAR @ placement(rng)
     path = tmp_path_factory.mktemp("images") / "board.png"
-    cv2.imwrite(str(path), rendered(BOARD, FISHEYE, T, rng))
+    cv2.imwrite(str(path), render_target(BOARD, FISHEYE, T, rng))
     return path, T
 
 
@@ -63,7 +63,7 @@ def test_unpatterned_target_from_rough_corners(tmp_path):
     rng = np.random.default_rng(2)
     T = T_CAMERA_LIDAR @ placement(rng)
     image, corners = tmp_path / "plain.png", tmp_path / "plain.csv"
-    cv2.imwrite(str(image), rendered(PLAIN, FISHEYE, T, rng))
+    cv2.imwrite(str(image), render_target(PLAIN, FISHEYE, T, rng))
     pixels = project(FISHEYE, PLAIN.vertices @ T[:3, :3].T + T[:3, 3]) + rng.normal(0, 4.0, (4, 2))
     corners.write_text("vertex,u,v\n" + "".join(f"{k},{u:.1f},{v:.1f}\n" for k, (u, v) in enumerate(pixels)))
     found = find_target(ImageTask(image, PLAIN, FISHEYE, corners))

@@ -6,9 +6,9 @@ import pytest
 from optshape_graph.calibration.images.planar_pose import planar_poses
 from optshape_graph.calibration.images.tags import find_tags, tag_points
 from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.evaluation.rendering import render_target
 from optshape_graph.target import Tags
 from tests.calibration.camera_support import BOARD, FISHEYE, T_CAMERA_LIDAR, placement
-from tests.calibration.images.rendering import rendered
 
 CENTRES = {3: (0.15, 0.2), 7: (-0.15, 0.2), 11: (0.0, -0.2)}
 
@@ -18,7 +18,7 @@ def test_rendered_tags_give_the_pose_without_ambiguity(dictionary, turn):
     rng = np.random.default_rng(0)
     tags = Tags(dictionary, 0.2, CENTRES, turn)
     T = T_CAMERA_LIDAR @ placement(rng)
-    image = rendered(replace(BOARD, chessboard=None, tags=tags), FISHEYE, T, rng)
+    image = render_target(replace(BOARD, chessboard=None, tags=tags), FISHEYE, T, rng)
     found = find_tags(image, tags)
     assert len(found) == 12
     assert len(found.symmetries) == 1
@@ -31,7 +31,7 @@ def test_rendered_tags_give_the_pose_without_ambiguity(dictionary, turn):
 def test_tags_of_others_are_left_out():
     rng = np.random.default_rng(1)
     tags = Tags("4X4_50", 0.2, CENTRES)
-    image = rendered(replace(BOARD, chessboard=None, tags=tags), FISHEYE, T_CAMERA_LIDAR @ placement(rng), rng)
+    image = render_target(replace(BOARD, chessboard=None, tags=tags), FISHEYE, T_CAMERA_LIDAR @ placement(rng), rng)
     assert len(find_tags(image, replace(tags, centres={3: CENTRES[3], 40: (0.0, 0.0)}))) == 4
     with pytest.raises(EstimationError, match=r"tags \[3, 7, 11\] are in the image; the target has \[40\]"):
         find_tags(image, replace(tags, centres={40: (0.0, 0.0)}))

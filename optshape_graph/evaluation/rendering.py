@@ -1,26 +1,48 @@
-"""Targets rendered as a camera would see them, for tests."""
+"""Targets rendered as a camera would see them: images with known truth."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from scipy.ndimage import map_coordinates
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.images.projection import normalised, project
 from optshape_graph.camera import CameraIntrinsics
+from optshape_graph.errors import InputError
+from optshape_graph.io.image_files import opencv
 from optshape_graph.target import Target
 
 SAMPLES = 2
 """Samples per pixel and axis."""
 
 
-def rendered(target: Target, camera: CameraIntrinsics, T: Floats, rng: np.random.Generator) -> np.ndarray:
-    """Return a grey image of a white target, with its chessboard or tags, before a dark, uneven background."""
+def render_target(
+    target: Target, camera: CameraIntrinsics, T_camera_target: Floats, rng: np.random.Generator | int = 0
+) -> np.ndarray:
+    """Render a white target, with its chessboard or tags, before a dark, uneven background.
+
+    Args:
+        target: with a pattern, or without one.
+        camera: its intrinsics and image size.
+        T_camera_target: (4, 4) pose of the target in the camera's frame.
+        rng: generator or seed, of the background and the noise.
+
+    Returns:
+        (h, w) grey image, 8 bits.
+
+    Raises:
+        InputError: a vertex is not ahead of the camera, or the target is not in its image.
+        MissingExtraError: OpenCV is absent.
+    """
+    cv2, rng, T = opencv(), np.random.default_rng(rng), T_camera_target
+    if ((target.vertices @ T[:3, :3].T + T[:3, 3])[:, 2] <= 0).any():
+        raise InputError(f"target '{target.name}' is not ahead of camera '{camera.name}'")
     h, w = camera.height, camera.width
     corners = _vertex_pixels(target, camera, T)
     low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 5, 0)
     high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 5, [w, h])
+    if (low >= high).any():
+        raise InputError(f"target '{target.name}' is not in the image of camera '{camera.name}'")
     image = cv2.GaussianBlur(rng.uniform(20, 90, (h, w)).astype(np.float32), (0, 0), 6.0)
     inner = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
     u = (np.arange(low[0], high[0])[:, None] + inner).ravel()
@@ -34,7 +56,7 @@ def rendered(target: Target, camera: CameraIntrinsics, T: Floats, rng: np.random
     fine = np.where(np.isnan(shade), background, shade)
     patch = fine.reshape(high[1] - low[1], SAMPLES, high[0] - low[0], SAMPLES).mean(axis=(1, 3))
     image[low[1] : high[1], low[0] : high[0]] = patch
-    return np.clip(np.round(image + rng.normal(0, 1.0, image.shape)), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.round(image + rng.normal(0, 1.0, image.shape)), 0, 255).astype(np.uint8))
 
 
 def _rays(camera: CameraIntrinsics, u: Floats, v: Floats) -> Floats:
@@ -62,6 +84,7 @@ def _pattern(target: Target, yz: Floats) -> Floats:
         inside = (i >= 0) & (i <= n_y) & (j >= 0) & (j <= n_z)
         shade[inside & ((i + j) % 2 == 0)] = 15.0
     if (tags := target.tags) is not None:
+        cv2 = opencv()
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{tags.dictionary}"))
         c, s = np.cos(tags.turn), np.sin(tags.turn)
         for number, centre in tags.centres.items():

@@ -1,0 +1,70 @@
+"""`--plot DIR`: pictures of what a command found, as PNG files whose names are told at the end."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+IMAGES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
+
+
+def plot_option(what: str, *aliases: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return the decorator that adds `--plot DIR`, whose value the command takes as `plots`.
+
+    Args:
+        what: the pictures, for the help.
+        aliases: other names of the option.
+    """
+    return click.option(
+        "--plot", *aliases, "plots", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", callback=_checked,
+        help=f"Write pictures to this folder: {what}.",
+    )  # fmt: skip
+
+
+class Pictures:
+    """Pictures on their way into a folder.
+
+    Args:
+        folder: where to; it is made when there is a first one.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.paths: list[Path] = []
+
+    def save(self, name: str, figure: Figure) -> None:
+        """Write a figure as NAME.png."""
+        from optshape_graph.viz.style import save_figure
+
+        self.paths.append(save_figure(figure, self.folder / f"{name}.png"))
+
+    def tell(self) -> None:
+        """Name the files."""
+        for path in self.paths:
+            click.echo(f"picture: {path}")
+
+
+def names_of(paths: Sequence[Path]) -> list[str]:
+    """Return a name for the pictures of each file: its own without the ending, numbered where two are alike."""
+    stems = [path.stem for path in paths]
+    times = Counter(stems)
+    return [stem if times[stem] == 1 else f"{k:03d}_{stem}" for k, stem in enumerate(stems)]
+
+
+def _checked(ctx: click.Context, parameter: click.Parameter, value: Path | None) -> Path | None:
+    """Find out before the work is done, and not after it, that nothing could be drawn."""
+    if value is None:
+        return None
+    if value.suffix.lower() in IMAGES:
+        raise click.BadParameter(f"expected a folder, in which pictures have names of their own; found '{value}'")
+    from optshape_graph.viz.style import new_figure
+
+    new_figure()
+    return value

@@ -1,0 +1,131 @@
+"""Image files to pixels. OpenCV decodes them, after what they promise was compared with what is there.
+
+On its own it allocates what a header says before it looks at the data: up to a thousand million pixels, and for a chunk
+of a PNG file, 4 GB.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optshape_graph.errors import InputError, missing_extra
+
+LARGEST_IMAGE = 1 << 28
+"""Pixels of an image: the largest sensors of industrial cameras have 250 million."""
+
+FORMATS = "PNG, JPEG, BMP, TIFF or PNM"
+
+_PNM = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
+
+
+def decode_image(data: bytes, name: str, channels: int | None = None) -> NDArray[np.uint8]:
+    """Return the pixels of an image file's bytes, 8 bit: (h, w) of a grey image, (h, w, 3) blue, green, red of others.
+
+    Args:
+        data: a PNG, JPEG, BMP, TIFF or PNM file.
+        name: the file, for messages.
+        channels: 1: every image becomes grey; 3: every image becomes one of colours.
+
+    Raises:
+        InputError: another format, damaged, or of more than `LARGEST_IMAGE` pixels.
+        MissingExtraError: OpenCV is absent.
+    """
+    cv2 = opencv()
+    size = image_size(data)
+    if size is None:
+        raise InputError(f"{name}: not an image that OpenCV can read ({len(data)} bytes); expected {FORMATS}")
+    width, height = size
+    if not 0 < width * height <= LARGEST_IMAGE:
+        raise InputError(f"{name}: {width} x {height} pixels; expected at most {LARGEST_IMAGE} in all")
+    log = cv2.utils.logging
+    level = log.setLogLevel(0)  # what is wrong is said by the error, not on standard error
+    modes = {1: cv2.IMREAD_GRAYSCALE, 3: cv2.IMREAD_COLOR, None: cv2.IMREAD_ANYCOLOR}
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), modes[channels])
+    except cv2.error as error:
+        raise InputError(f"{name}: damaged image of {width} x {height} pixels ({error.err})") from error
+    finally:
+        log.setLogLevel(level)
+    if pixels is None:
+        raise InputError(f"{name}: damaged image of {width} x {height} pixels ({len(data)} bytes)")
+    return np.asarray(pixels, dtype=np.uint8)
+
+
+def image_size(data: bytes) -> tuple[int, int] | None:
+    """Return width and height that an image file states; None: a format that is not known here, or cut off."""
+    try:
+        if data.startswith(b"\x89PNG\r\n\x1a\n"):
+            width, height = _png_size(data)
+        elif data.startswith(b"\xff\xd8\xff"):
+            height, width = _jpeg_size(data)
+        elif data.startswith(b"BM"):
+            (header,) = struct.unpack_from("<I", data, 14)
+            width, height = struct.unpack_from("<HH" if header == 12 else "<ii", data, 18)
+        elif data[:4] in (b"II*\0", b"MM\0*"):
+            width, height = _tiff_size(data)
+        elif found := _PNM.match(data):
+            width, height = int(found[1]), int(found[2])
+        else:
+            return None
+    except (struct.error, IndexError, KeyError):
+        return None
+    return int(width), abs(int(height))  # of a BMP, the sign says which row is first
+
+
+def opencv() -> Any:
+    """Return the module cv2.
+
+    Raises:
+        MissingExtraError: OpenCV is absent.
+    """
+    try:
+        import cv2
+    except ImportError as cause:
+        raise missing_extra("opencv-python-headless", "camera", cause) from cause
+    return cv2
+
+
+def _png_size(data: bytes) -> tuple[int, int]:
+    """Width and height in the first chunk, where all chunks up to the last are there (PNG, section 5.3)."""
+    at, kind = 8, b""
+    while kind != b"IEND":
+        length, kind = struct.unpack_from(">I4s", data, at)
+        at += 12 + length
+        if at > len(data):
+            raise IndexError("a chunk ends beyond the file")
+    width, height = struct.unpack_from(">II", data, 16)
+    return width, height
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int]:
+    """Height and width in the first start-of-frame segment (ITU T.81, B.2.2)."""
+    at = 2
+    while data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker == 0xFF:  # fill byte
+            at += 1
+            continue
+        (length,) = struct.unpack_from(">H", data, at + 2)
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            return height, width
+        at += 2 + length
+    raise IndexError("no frame")
+
+
+def _tiff_size(data: bytes) -> tuple[int, int]:
+    """Width and height among the entries of the first directory (TIFF 6.0, section 2)."""
+    order = "<" if data[:2] == b"II" else ">"
+    (at,) = struct.unpack_from(order + "I", data, 4)
+    (entries,) = struct.unpack_from(order + "H", data, at)
+    sizes: dict[int, int] = {}
+    for k in range(entries):
+        tag, kind, _ = struct.unpack_from(order + "HHI", data, at + 2 + 12 * k)
+        if tag in (256, 257):
+            (sizes[tag],) = struct.unpack_from(order + ("H" if kind == 3 else "I"), data, at + 10 + 12 * k)
+    return sizes[256], sizes[257]

@@ -1,0 +1,271 @@
+"""The graph of a running map: poses, landmarks and what links them, on a smoother that survives what it is given.
+
+A match is held as the sighting it came from. Its factor is a summary, which holds where it was made: as the estimate
+moves on, stale summaries are made again, some after every few poses, or all of them when asked to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+
+from optshape_graph._arrays import Floats
+from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.factors import Summary, summarise
+from optshape_graph.factors._noise import gaussian
+from optshape_graph.factors.se3 import inverse
+from optshape_graph.mapping.map import Landmark, Map, rigid
+from optshape_graph.mapping.priors import joint_prior, root_of
+from optshape_graph.mapping.smoother import Smoother
+from optshape_graph.mapping.track import Match, Odometry, Start
+from optshape_graph.target import Target
+
+LOSS = 4.1
+"""Huber's loss turns from squares to lines at this many standard deviations: 99 % of what is distributed normally in
+six dimensions is nearer."""
+
+STALE_M = 5e-4
+"""A summary is made again when the target has turned so far since that the second-order term moves a return by this."""
+
+CHECKED_NEW, CHECKED_OLD = 20, 40
+"""How many summaries are looked at at a time: of the newest, and of the others in turn."""
+
+SETTLING = 10
+"""Rounds of `settle` at most."""
+
+
+@dataclass(eq=False)
+class Known:
+    """A landmark in the graph.
+
+    Attributes:
+        key: of T_world_target.
+        target: its template.
+        observations: number of sightings in the graph.
+        surveyed: it was known before, and is no result of this graph.
+    """
+
+    key: int
+    target: Target
+    observations: int = 0
+    surveyed: bool = False
+
+
+@dataclass(eq=False)
+class _Held:
+    """A match in the graph: where it was summarised, and the factor's handle."""
+
+    match: Match
+    T_target_lidar: Floats
+    handle: int
+
+
+class LandmarkGraph:
+    """Poses by number and landmarks by name; whatever makes GTSAM raise is taken out again.
+
+    Attributes:
+        landmarks: what is known of each, by name.
+        odometry: between the poses, as far as a lag has kept it.
+    """
+
+    def __init__(self, lag: float | None) -> None:
+        self.landmarks: dict[str, Known] = {}
+        self.odometry: list[Odometry] = []
+        self._smoother = Smoother(lag)
+        self._held: list[_Held] = []
+        self._turn = 0
+        self._made = 0
+        self._loss = gtsam.noiseModel.mEstimator.Huber.Create(LOSS)
+
+    def __contains__(self, pose: int) -> bool:
+        return X(pose) in self._smoother
+
+    @property
+    def lag(self) -> float | None:
+        """Seconds of poses that are kept; None: all are."""
+        return self._smoother.lag
+
+    @property
+    def matches(self) -> tuple[Match, ...]:
+        """All matches that are in force."""
+        return tuple(held.match for held in self._held)
+
+    # ---- out ---------------------------------------------------------------------------------------------------------
+
+    def T_world_lidar(self, pose: int) -> Floats:
+        """Return the estimate (4, 4) of a pose."""
+        return self._smoother.pose(X(pose))
+
+    def T_world_target(self, name: str) -> Floats:
+        """Return the estimate (4, 4) of a landmark."""
+        return self._smoother.pose(self.landmarks[name].key)
+
+    def covariance(self, landmarks: Sequence[str] = (), poses: Sequence[int] = ()) -> Floats:
+        """Return the joint covariance (d, d) of landmarks, then poses, each of its right perturbation, rotation first.
+
+        Raises:
+            InputError: no such landmark or pose, or one that a lag has marginalised.
+        """
+        for name in landmarks:
+            if name not in self.landmarks:
+                raise InputError(f"no landmark '{name}'; the map has {', '.join(self.landmarks) or 'none'}")
+        for pose in poses:
+            if pose not in self:
+                raise InputError(f"pose {pose} is not in the graph")
+        return self._smoother.covariance([*(self.landmarks[name].key for name in landmarks), *map(X, poses)])
+
+    def map(self) -> Map:
+        """Return the landmarks."""
+        names = list(self.landmarks)
+        if not names:
+            return Map(())
+        joint = self.covariance(names)
+        landmarks = []
+        for k, (name, known) in enumerate(self.landmarks.items()):
+            block = joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
+            landmarks.append(Landmark(name, known.target, self.T_world_target(name), block, known.observations))
+        return Map(tuple(landmarks), joint)
+
+    # ---- in ----------------------------------------------------------------------------------------------------------
+
+    def add_known(self, known: Map) -> None:
+        """Add landmarks that are known, with their joint covariance.
+
+        Raises:
+            InputError: it is not positive definite.
+        """
+        values = gtsam.Values()
+        for landmark in known.landmarks:
+            entry = self._begin(landmark.id, landmark.target)
+            entry.observations, entry.surveyed = landmark.observations, True
+            values.insert(entry.key, gtsam.Pose3(landmark.T_world_target))
+        keys = [entry.key for entry in self.landmarks.values()]
+        try:
+            factors = joint_prior(keys, [m.T_world_target for m in known.landmarks], known.covariance)
+        except np.linalg.LinAlgError as error:
+            raise InputError("the covariance of the known landmarks is not positive definite") from error
+        self._smoother.update(factors, values)
+
+    def add_start(self, start: Start, stamp: float) -> None:
+        """Add the first pose, where it is known to be."""
+        values, pose = gtsam.Values(), gtsam.Pose3(rigid(start.T_world_lidar, "start"))
+        values.insert(X(0), pose)
+        prior = gtsam.PriorFactorPose3(X(0), pose, gaussian(root_of(start.covariance, "start")))
+        self._smoother.update([prior], values, stamps={X(0): stamp})
+
+    def add_pose(
+        self,
+        pose: int,
+        stamp: float,
+        initial: Floats | None,
+        odometry: Odometry | None,
+        matches: Sequence[tuple[Match, Floats, Summary]],
+    ) -> None:
+        """Add a pose, or more to the newest one: odometry that leads to it, and matches.
+
+        Args:
+            pose: its number.
+            stamp: seconds.
+            initial: (4, 4) T_world_lidar of a new pose; None: it is there already.
+            odometry: from the pose before; None: there is none, or it is there already.
+            matches: of the pose, each with T_target_lidar (4, 4) where it was summarised, and its summary there.
+
+        Raises:
+            EstimationError: the graph does not bear it; nothing has changed then.
+        """
+        factors: list[gtsam.NonlinearFactor] = [
+            summary.factor(self.landmarks[match.landmark].key, X(pose), self._loss) for match, _, summary in matches
+        ]
+        finite = all(summary.is_finite for _, _, summary in matches)
+        values = gtsam.Values()
+        if initial is not None:
+            values.insert(X(pose), gtsam.Pose3(initial))
+        if odometry is not None:
+            motion, noise = gtsam.Pose3(odometry.T_i_j), gaussian(odometry.sqrt_information)
+            factors.append(gtsam.BetweenFactorPose3(X(odometry.i), X(odometry.j), motion, noise))
+        handles = self._smoother.update(factors, values, stamps={X(pose): stamp}, finite=finite)
+        if odometry is not None:
+            self.odometry.append(odometry)
+        for (match, T, _), handle in zip(matches, handles, strict=False):
+            self._held.append(_Held(match, T, handle))
+            self.landmarks[match.landmark].observations += 1
+        if self.lag is not None:
+            self._held = [held for held in self._held if held.match.pose in self]
+            self.odometry.clear()
+
+    def add_landmark(self, name: str, target: Target, T_world_target: Floats, matches: Sequence[Match]) -> bool:
+        """Add a landmark at T_world_target (4, 4) with its matches; say whether the graph bears it."""
+        entry = self._begin(name, target)
+        T_target_lidar = [inverse(T_world_target) @ self.T_world_lidar(match.pose) for match in matches]
+        values = gtsam.Values()
+        values.insert(entry.key, gtsam.Pose3(T_world_target))
+        try:
+            handles = self._smoother.update(self._factors(matches, T_target_lidar), values)
+        except EstimationError:
+            del self.landmarks[name]
+            return False
+        entry.observations = len(matches)
+        self._held += [_Held(m, T, handle) for m, T, handle in zip(matches, T_target_lidar, handles, strict=True)]
+        return True
+
+    def remove_landmark(self, name: str) -> None:
+        """Take a landmark out of the graph with all its matches."""
+        gone = [held for held in self._held if held.match.landmark == name]
+        self._held = [held for held in self._held if held.match.landmark != name]
+        self._smoother.update([], gtsam.Values(), [held.handle for held in gone])
+        del self.landmarks[name]
+
+    # ---- up to date --------------------------------------------------------------------------------------------------
+
+    def look_again(self) -> None:
+        """Make stale summaries again, of the newest matches and of some others in turn."""
+        n = len(self._held)
+        if n:
+            self._turn = (self._turn + CHECKED_OLD) % n
+            in_turn = ((self._turn + k) % n for k in range(min(CHECKED_OLD, n)))
+            self._resummarise([self._held[k] for k in {*range(max(0, n - CHECKED_NEW), n), *in_turn}])
+
+    def settle(self) -> None:
+        """Make stale summaries again until there are none."""
+        for _ in range(SETTLING):
+            if not self._held or not self._resummarise(self._held):
+                break
+
+    def _resummarise(self, held: Sequence[_Held]) -> int:
+        """Make those summaries again whose target has turned since; return how many."""
+        targets = {name: self.T_world_target(name) for name in {h.match.landmark for h in held}}
+        lidars = {pose: self.T_world_lidar(pose) for pose in {h.match.pose for h in held}}
+        now = inverse(np.array([targets[h.match.landmark] for h in held])) @ [lidars[h.match.pose] for h in held]
+        stale = np.flatnonzero(_moved(np.array([h.T_target_lidar for h in held]), now) > STALE_M)
+        if len(stale):
+            again = [held[int(k)] for k in stale]
+            factors = self._factors([h.match for h in again], list(now[stale]))
+            handles = self._smoother.update(factors, gtsam.Values(), [h.handle for h in again])
+            for h, T, handle in zip(again, now[stale], handles, strict=True):
+                h.T_target_lidar, h.handle = T, handle
+        return len(stale)
+
+    def _factors(self, matches: Sequence[Match], T_target_lidar: Sequence[Floats]) -> list[gtsam.NonlinearFactor]:
+        if not matches:
+            return []
+        summaries = summarise([match.measurement for match in matches], np.stack(T_target_lidar))
+        return [
+            summary.factor(self.landmarks[match.landmark].key, X(match.pose), self._loss)
+            for match, summary in zip(matches, summaries, strict=True)
+        ]
+
+    def _begin(self, name: str, target: Target) -> Known:
+        entry = self.landmarks[name] = Known(L(self._made), target)
+        self._made += 1
+        return entry
+
+
+def _moved(before: Floats, now: Floats) -> Floats:
+    """(m,) metres by which a turn between poses (m, 4, 4) moves returns of the target, beyond what is linear in it."""
+    # 3 - tr(R^T R') = 2 (1 - cos a) = a^2 for small angles.
+    squared = 3.0 - (before[:, :3, :3] * now[:, :3, :3]).sum(axis=(1, 2))
+    return np.asarray(0.5 * squared * np.linalg.norm(now[:, :3, 3], axis=1))

@@ -1,0 +1,122 @@
+"""What all pictures have in common: palette, axes, and the way they reach a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optshape_graph._arrays import Floats
+from optshape_graph.errors import missing_extra
+from optshape_graph.io.files import write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+INK, GREY, PALE = "#222222", "#8c8c8c", "#d0d0d0"
+BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
+
+COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+"""Of series, edges, trajectories: told apart by the colour-blind (Okabe and Ito, 2008)."""
+
+MARKERS = ("o", "s", "^", "D", "v", "P")
+"""Go with the colours: series are told apart in black and white, too."""
+
+DPI = 150
+"""Of files: a figure 8 inches wide is 1200 pixels."""
+
+
+def new_figure(width: float = 8.0, height: float = 6.0) -> Figure:
+    """Return an empty figure, inches.
+
+    Raises:
+        MissingExtraError: matplotlib is absent.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as cause:
+        raise missing_extra("matplotlib", "plot", cause) from cause
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def save_figure(figure: Figure, path: str | Path) -> Path:
+    """Write a figure as PNG, whole or not at all; its folder is made.
+
+    Raises:
+        InputError: the place cannot be written.
+    """
+    from io import BytesIO
+
+    stream = BytesIO()
+    figure.savefig(stream, format="png", dpi=DPI)
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, stream.getvalue())
+    return path
+
+
+def colour(k: int) -> str:
+    """Return the k-th colour of a series."""
+    return COLOURS[k % len(COLOURS)]
+
+
+def marker(k: int) -> str:
+    """Return the k-th marker of a series."""
+    return MARKERS[k % len(MARKERS)]
+
+
+def plain(axes: Axes, *, equal: bool = False) -> Axes:
+    """Draw a faint grid and no frame at the top and right; `equal`: one scale on both axes, for geometry."""
+    axes.grid(alpha=0.3, lw=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    if equal:
+        axes.set_aspect("equal", adjustable="box")
+    return axes
+
+
+def legend_below(figure: Figure, *axes: Axes, columns: int = 4, title: str | None = None) -> None:
+    """Put one legend below a figure: of some axes, or of all."""
+    handles, labels = [], []
+    for axis in axes or figure.axes:
+        found = axis.get_legend_handles_labels()
+        handles += found[0]
+        labels += found[1]
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=min(len(labels), columns), frameon=False, title=title
+    )
+
+
+def short(name: str) -> str:
+    """Return the last part of a scan's name, where that is a path."""
+    return PurePath(name).name or name
+
+
+def outline(axes: Axes, polygon: Floats, colour: str = INK, **style: object) -> None:
+    """Draw a closed polygon (n, 2), in the unit of the axes."""
+    closed = np.vstack([polygon, polygon[:1]])
+    axes.plot(closed[:, 0], closed[:, 1], color=colour, **{"lw": 1.6, **style})  # type: ignore[arg-type]
+
+
+def ellipse(covariance: Floats, sigmas: float) -> Floats:
+    """(K, 2) outline of `sigmas` standard deviations of a (2, 2) covariance about the origin."""
+    values, vectors = np.linalg.eigh(covariance)
+    angle = np.linspace(0.0, 2 * np.pi, 73)
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.asarray(sigmas * (circle * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def magnification(sizes: Sequence[float] | Floats, extent: float) -> float:
+    """Return 1, 2, 5, 10, ...: how many times too large to draw sizes, so that the largest is a tenth of an extent.
+
+    Args:
+        sizes: (N,) in any unit.
+        extent: of the picture, in that unit.
+    """
+    largest = float(np.max(sizes, initial=0.0))
+    wanted = 0.1 * extent / largest if largest > 0 else 1.0
+    steps = np.outer(10.0 ** np.arange(7), [1.0, 2.0, 5.0]).ravel()
+    return float(steps[steps <= max(wanted, 1.0)].max())

@@ -1,0 +1,63 @@
+"""Style: files are whole, magnifications round, and nobody else's settings are touched."""
+
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from optshape_graph import InputError, MissingExtraError
+from optshape_graph.viz.style import ellipse, magnification, new_figure, plain, save_figure, short
+
+
+def test_an_absent_matplotlib_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'optshape-graph\[plot\]'"):
+        new_figure()
+
+
+def test_settings_of_matplotlib_stay(tmp_path):
+    import matplotlib
+
+    before = dict(matplotlib.rcParams)
+    figure = new_figure()
+    plain(figure.subplots(), equal=True)
+    save_figure(figure, tmp_path / "a.png")
+    assert dict(matplotlib.rcParams) == before
+    assert "matplotlib.pyplot" not in sys.modules or not matplotlib.pyplot.get_fignums()
+
+
+def test_a_figure_is_a_whole_png_in_a_new_folder(tmp_path):
+    path = save_figure(new_figure(8.0, 4.0), tmp_path / "new" / "a.png")
+    data = path.read_bytes()
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    assert data[-8:-4] == b"IEND"
+    assert int.from_bytes(data[16:20], "big") == 1200
+    assert [p.name for p in path.parent.iterdir()] == ["a.png"]
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises((InputError, OSError), match="file"):
+        save_figure(new_figure(), tmp_path / "file" / "a.png")
+
+
+@pytest.mark.parametrize(
+    ("size", "extent", "factor"),
+    [(0.1, 1.0, 1.0), (0.003, 1.0, 20.0), (1e-4, 1.0, 1000.0), (2.0, 1.0, 1.0), (0.0, 1.0, 1.0)],
+)
+def test_magnification_makes_the_largest_visible_and_no_more(size, extent, factor):
+    assert magnification([size, 0.5 * size], extent) == factor
+    assert factor == 1.0 or factor * size <= 0.1 * extent
+
+
+def test_an_ellipse_has_the_covariance_s_axes():
+    loop = ellipse(np.diag([0.04, 0.01]), 3.0)
+    assert np.abs(loop[:, 0]).max() == pytest.approx(0.6, rel=1e-2)
+    assert np.abs(loop[:, 1]).max() == pytest.approx(0.3, rel=1e-2)
+
+
+def test_names_of_scans_are_short():
+    assert short("/a/b/scan.pcd") == "scan.pcd"
+    assert short("simulated") == "simulated"
