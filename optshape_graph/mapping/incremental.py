@@ -58,7 +58,9 @@ class LandmarkSlam:
     """SLAM with target landmarks, for a system to embed: one pose after another, each with what was seen from it.
 
     Only what was checked enters the graph: a sighting that no landmark explains waits outside it until others agree,
-    one that contradicts the map is rejected, and what makes GTSAM raise is taken out again.
+    one that contradicts the map is rejected, and what makes GTSAM raise is taken out again. The biases that a LiDAR's
+    rings keep are taken for each sighting's own here, so that landmarks seen often seem better known than they are:
+    `solve_batch` of `problem` solves for them.
 
     Args:
         known: landmarks that are known: surveyed, or a map made before, which this run extends.
