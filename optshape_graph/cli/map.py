@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.cli.options import outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -62,8 +63,10 @@ MANY = 60
 @click.option("--kitti", "kitti_file", type=click.Path(path_type=Path), help="Write the trajectory.")
 @click.option("--g2o", "g2o_file", type=click.Path(path_type=Path), help="Write the pose graph.")
 @plot_option("the map from above, and the structure of its graph")
+@outside_option
 def command(
     source: Path,
+    allow_outside: bool,
     target_names: tuple[str, ...],
     sensor_name: str | None,
     scan_topic: str | None,
@@ -106,7 +109,9 @@ def command(
 
     if as_built is not None and (lag is not None or not batch):
         raise click.UsageError("--as-built needs the batch solution, so no --lag and no --no-batch")
-    scans, targets, track, expected, skipped = _open(source, target_names, sensor_name, scan_topic, odometry, mounting)
+    scans, targets, track, expected, skipped = _open(
+        source, target_names, sensor_name, scan_topic, odometry, mounting, allow_outside
+    )
     slam = LandmarkSlam(
         load_map(known) if known else None,
         lag=lag,
@@ -170,6 +175,7 @@ def _open(
     scan_topic: str | None,
     odometry: str | None,
     mounting: tuple[float, ...] | None,
+    allow_outside: bool,
 ) -> tuple[Iterable[Stamped[Scan]], list[Target], OdometryTrack | None, int | None, Any]:
     """Scans, targets, odometry, the number of scans if it is known, and what says which messages were skipped."""
     from optshape_graph.io import load_sensor, load_session, load_target
@@ -186,7 +192,7 @@ def _open(
     if source.suffix.lower() in (".yaml", ".yml", ".json"):
         if target_names or sensor_name or scan_topic:
             raise click.UsageError("a session file names its own targets, sensor and scans")
-        session = load_session(source)
+        session = load_session(source, allow_outside=allow_outside)
         missed = Skipped()
         return (
             session_scans(session, missed), list(session.targets.values()),
@@ -238,7 +244,8 @@ def _shown(progress: Progress, slam: LandmarkSlam, expected: int | None) -> Iter
     from rich.progress import Progress as Bar
 
     columns = TextColumn("mapping"), BarColumn(), TextColumn("{task.fields[summary]}"), TimeRemainingColumn()
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=expected, summary="")
 
         def report(now: Progress) -> None:

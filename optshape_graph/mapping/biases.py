@@ -48,7 +48,7 @@ class Biases:
 
     @classmethod
     def of(cls, problem: MappingProblem, wanted: bool, taken: Bools) -> Biases:
-        """Collect the matches whose sightings have their biases, but for those that are taken already."""
+        """Collect the matches (K,) whose sightings have their biases, but for those that are taken already, (K,)."""
         matches = [(t, match) for t, track in enumerate(problem.tracks) for match in track.matches]
         biased = {k: match.biased for k, (_, match) in enumerate(matches) if wanted and not taken[k]}
         found = {k: measurement for k, measurement in biased.items() if measurement is not None}
@@ -100,9 +100,9 @@ class BiasModel:
     """Gauss-Newton models 1/2 ||R xi + E beta + d||^2 of matches, and what is of the biases alone, steps from here.
 
     Attributes:
-        R: (B, 6, 6) by the right perturbation of H.
-        E: (B, 6, m) by the biases.
-        d: (B, 6).
+        R: (B, 6, 6) by the right perturbation of H, whitened.
+        E: (B, 6, m) by the biases, whitened.
+        d: (B, 6) whitened.
         alone: by track, (m + 1, m + 1) rows [S s; 0 c] over [beta; 1], the prior among them.
     """
 
