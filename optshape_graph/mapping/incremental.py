@@ -29,7 +29,7 @@ AT_THE_ORIGIN = Start(np.eye(4), 1e-8 * np.eye(6))
 NEAREST = 12
 """How many landmarks a sighting without a name is compared with at most: those nearest to where it was seen."""
 
-LOOK_EVERY = 10
+LOOK_EVERY = 20
 """Every how many poses stale summaries are looked for."""
 
 SINGULAR = "it makes the graph singular"
