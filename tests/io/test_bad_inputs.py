@@ -146,6 +146,7 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     "target with a word": target(TARGET.replace("-0.5]]", "low]]"), ":2: vertices[3][2]: expected a finite number, found 'low'"),
     "target with NaN": target(TARGET.replace("-0.5]]", ".nan]]"), "vertices[3][2]: expected a finite number, found nan"),
     "target of two vertices": target("schema: optshape/target/1\nvertices: [[0, 1, 0], [0, -1, 0]]\n", "2 vertices"),
+    "target of two thousand vertices": target("schema: optshape/target/1\nvertices: [" + "[0, 1, 0], " * 2000 + "]\n", "2000 vertices; expected at most 1000"),
     "target out of its plane": target(TARGET.replace("[0, 0.5, -0.5]", "[0.3, 0.5, -0.5]"), "plane x = 0"),
     "target the wrong way round": target(
         "schema: optshape/target/1\nvertices: [[0, 0, 1], [0, 1, -0.5], [0, -1, -0.5]]\n", "counter-clockwise",
