@@ -47,7 +47,10 @@ def command(
         "T_lidar_mocap": result.T_lidar_mocap.tolist(),
         "covariance": result.covariance.tolist(),
         "marker_layout": result.marker_layout.tolist(),
-        "scans": [_entry(error) for error in result.leave_one_out],
+        "scans": [
+            {**_entry(error), "T_lidar_target": T}
+            for error, T in zip(result.leave_one_out, result.T_lidar_target, strict=True)
+        ],
         "mean": _numbers(mean_error(result.leave_one_out)),
         "in_sample": {
             "scans": [_entry(error) for error in result.in_sample],

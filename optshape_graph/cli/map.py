@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from optshape_graph.target import Target
 
 
+MANY = 60
+"""Scans from which on several processes are worth their start."""
+
+
 @click.command()
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option("--targets", "--target", "target_names", multiple=True,
@@ -50,7 +54,9 @@ if TYPE_CHECKING:
 @click.option("--as-built", type=float, metavar="METRES",
               help="Refine the targets' vertices, which were built to this standard deviation.")  # fmt: skip
 @click.option(
-    "--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes that detect targets."
+    "--workers",
+    type=click.IntRange(min=1),
+    help="Processes that detect targets.  [default: one for each core, for recordings of many scans]",
 )
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the map (optshape/map/1).")
 @click.option("--tum", "tum_file", type=click.Path(path_type=Path), help="Write the trajectory.")
@@ -74,7 +80,7 @@ def command(
     lag: float | None,
     batch: bool,
     as_built: float | None,
-    workers: int,
+    workers: int | None,
     json_file: Path | None,
     tum_file: Path | None,
     kitti_file: Path | None,
@@ -116,8 +122,13 @@ def command(
     noise = MotionNoise(odometry_noise[0], radians(odometry_noise[1]))
     progress = Progress()
     seen = observe_all(
-        keyframes(scans, track, policy, progress), targets, one_each, as_built is not None, workers
-    )  # fmt: skip
+        keyframes(scans, track, policy, progress),
+        targets,
+        one_each,
+        as_built is not None,
+        _processes(expected) if workers is None else workers,
+        biases=batch and lag is None,
+    )
     with _shown(progress, slam, expected) as report:
         build_map(slam, seen, noise, progress, report)
     slam.settle()
@@ -147,6 +158,14 @@ def command(
         pictures.tell()
     if not result.landmarks:
         click.get_current_context().exit(3)
+
+
+def _processes(expected: int | None) -> int:
+    """Processes for a recording: starting them takes about as long as detecting targets in MANY scans."""
+    import os
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores if expected is None or expected >= MANY else 1
 
 
 def _open(

@@ -93,7 +93,11 @@ class Bag:
         return [messages.decode_pose(self.ros, topic.type, data)]
 
     def frame(self, topic: Topic) -> str:
-        """Return the frame that a topic of scans is in, or that a topic of poses is of; empty where it is not said."""
+        """Return the frame that a topic of scans is in, or that a topic of poses is of; empty where it is not said.
+
+        Raises:
+            InputError: the bag cannot be read.
+        """
         if topic.type in messages.TRANSFORMS:
             return topic.name.rsplit(":", 1)[1]
         with closing(self._raw(topic.name, Skipped())) as raw:
@@ -105,7 +109,11 @@ class Bag:
         return ""
 
     def static_transforms(self) -> dict[tuple[str, str], Floats]:
-        """Return T_parent_child (4, 4), by names of parent and child, of all static transforms."""
+        """Return T_parent_child (4, 4), by names of parent and child, of all static transforms.
+
+        Raises:
+            InputError: the bag cannot be read.
+        """
         found: dict[tuple[str, str], Floats] = {}
         for topic in self._recorded:
             if topic.type in messages.TRANSFORMS and topic.name.endswith("tf_static"):
