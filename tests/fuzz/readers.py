@@ -336,7 +336,7 @@ def results(folder: Path) -> list[bytes]:
     own = {"name": "front", "model": "pinhole", "width": 64, "height": 48, "K": K, "D": []}
     pair = {"camera": "front", "lidar": "top", "T_lidar_camera": T, "covariance_T_lidar_camera": C}
     documents: dict[str, dict[str, object]] = {
-        "estimate": {"scans": [{"scan": "a", **found, **of_edges}, {"scan": "b", "T_lidar_target": None, "reason": ""}]},
+        "estimate": {"scans": [{"scan": "a", **found, **of_edges}, {"scan": "b", "T_lidar_target": None, "reason": 1}]},
         "detect": {"scans": [{"scan": "a", "targets": [{**found, "return_indices": [0, 2]}], "rejected": [rejected]}]},
         "mocap": {"T_lidar_mocap": T, "covariance": C, "marker_layout": points,
                   "scans": [{"scan": "a", "T_lidar_target": T}]},
