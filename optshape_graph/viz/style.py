@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
@@ -58,6 +59,11 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     return path
 
 
+def file_name(text: str) -> str:
+    """Return a text as part of a file's name: a target may be called anything, `../../etc` included."""
+    return re.sub(r"[^\w.+@-]+", "_", text)[:100].lstrip(".") or "_"
+
+
 def colour(k: int) -> str:
     """Return the k-th colour of a series."""
     return COLOURS[k % len(COLOURS)]
@@ -90,9 +96,16 @@ def legend_below(figure: Figure, *axes: Axes, columns: int = 4, title: str | Non
     )
 
 
+def literal(text: str, longest: int = 48) -> str:
+    """Return a name as it is to be drawn: dollars are no mathematics, and what is very long is cut in the middle."""
+    if len(text) > longest:
+        text = f"{text[: longest // 2]}…{text[-(longest // 2 - 1) :]}"
+    return text.replace("$", r"\$")
+
+
 def short(name: str) -> str:
-    """Return the last part of a scan's name, where that is a path."""
-    return PurePath(name).name or name
+    """Return the last part of a scan's name, where that is a path, as it is to be drawn."""
+    return literal(PurePath(name).name or name)
 
 
 def outline(axes: Axes, polygon: Floats, colour: str = INK, **style: object) -> None:
