@@ -42,6 +42,9 @@ HELP = {
 }
 """One line per command, so that `optshape --help` imports none of them."""
 
+LONGEST_MESSAGE = 2000
+"""Characters of an error: a file may have a word of a million."""
+
 
 @click.group(
     cls=LazyGroup, commands_at=COMMANDS, help_of=HELP, context_settings={"help_option_names": ["-h", "--help"]}
@@ -55,6 +58,12 @@ def cli(debug: bool) -> None:
     (the results of the others are written).
     """
     logging.basicConfig(format="optshape: %(levelname)s: %(message)s", level=logging.WARNING)
+
+
+def one_line(message: str) -> str:
+    """Return a message, which may quote a file, without line breaks and whatever else a terminal would obey."""
+    shown = message if len(message) <= LONGEST_MESSAGE else message[: LONGEST_MESSAGE - 3] + "..."
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in shown)
 
 
 def main() -> None:
@@ -71,11 +80,12 @@ def main() -> None:
     except (optshape_graph.OptshapeError, OSError) as error:
         if debug:
             raise
-        click.echo(f"optshape: error: {error}", err=True)
+        click.echo(f"optshape: error: {one_line(str(error))}", err=True)
         sys.exit(2)
     except Exception as error:
         if debug:
             raise
-        click.echo(f"optshape: unexpected {type(error).__name__}: {error} (--debug shows where)", err=True)
+        said = one_line(str(error))
+        click.echo(f"optshape: unexpected {type(error).__name__}: {said} (--debug shows where)", err=True)
         sys.exit(1)
     sys.exit(code if isinstance(code, int) else 0)
