@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.errors import missing_extra
+from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io.files import write_atomically
 
 if TYPE_CHECKING:
@@ -25,6 +25,9 @@ COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 
 MARKERS = ("o", "s", "^", "D", "v", "P")
 """Go with the colours: series are told apart in black and white, too."""
+
+FORMATS = ("png", "pdf", "svg")
+"""Of pictures, by the endings of their names."""
 
 DPI = 150
 """Of files: a figure 8 inches wide is 1200 pixels."""
@@ -44,16 +47,22 @@ def new_figure(width: float = 8.0, height: float = 6.0) -> Figure:
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:
-    """Write a figure as PNG, whole or not at all; its folder is made.
+    """Write a figure, whole or not at all, in the format of its ending; its folder is made.
+
+    Args:
+        figure: what to write.
+        path: ends in .png, .pdf or .svg; without an ending it is a PNG.
 
     Raises:
-        InputError: the place cannot be written.
+        InputError: another ending, or the place cannot be written.
     """
     from io import BytesIO
 
-    stream = BytesIO()
-    figure.savefig(stream, format="png", dpi=DPI)
-    path = Path(path)
+    stream, path = BytesIO(), Path(path)
+    kind = path.suffix.lower().lstrip(".") or "png"
+    if kind not in FORMATS:
+        raise InputError(f"{path}: expected the name of a picture to end in .{', .'.join(FORMATS)}")
+    figure.savefig(stream, format=kind, dpi=DPI)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, stream.getvalue())
     return path

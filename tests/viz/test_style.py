@@ -37,6 +37,13 @@ def test_a_figure_is_a_whole_png_in_a_new_folder(tmp_path):
     assert [p.name for p in path.parent.iterdir()] == ["a.png"]
 
 
+def test_the_ending_is_the_format(tmp_path):
+    assert save_figure(new_figure(), tmp_path / "a.pdf").read_bytes()[:5] == b"%PDF-"
+    assert b"<svg" in save_figure(new_figure(), tmp_path / "a.SVG").read_bytes()
+    with pytest.raises(InputError, match=r"a\.doc: expected the name of a picture to end in \.png, \.pdf, \.svg"):
+        save_figure(new_figure(), tmp_path / "a.doc")
+
+
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises((InputError, OSError), match="file"):
