@@ -37,7 +37,7 @@ class EdgePoints:
         index: (M,) row of the scan that each point is.
         revolutions: (M,) how many revolutions were merged in the point's ring.
         lower: (M,) angle beyond each point, outwards, from which on the boundary may lie, rad.
-        upper: (M,) angle up to which it may: one step on, for one revolution.
+        upper: (M,) angle up to which it may, rad: one step on, for one revolution.
         scatter: (M,) standard deviation of the interval's place, each point's own, rad: 0 for exact azimuths.
         shift: (M,) standard deviation of the place of a whole ring, by which both its ends move the same way, rad: 0
             for exact azimuths.
@@ -85,11 +85,6 @@ class EdgePoints:
     def middle(self) -> Floats:
         """(M,) azimuth beyond each point at which the boundary is expected, rad."""
         return np.asarray(0.5 * (self.lower + self.upper))
-
-    @property
-    def noisy(self) -> bool:
-        """Whether azimuths have noise."""
-        return bool((self.scatter > 0).any() or (self.shift > 0).any())
 
     @property
     def n_rings(self) -> int:
@@ -237,12 +232,12 @@ def with_top_and_bottom(edges: EdgePoints, scan: Scan) -> EdgePoints:
 
 
 def extreme_width(revolutions: Floats) -> Floats:
-    """How far beyond a ring's last return the boundary may lie, in azimuth steps.
+    """(R,) how far beyond a ring's last return the boundary may lie, in units of azimuth steps.
 
     One step for one revolution: the phase of the firing is uniform. The extreme of k revolutions lies nearer; the
     uniform density with its mean square is sqrt(6 / ((k + 1)(k + 2))) wide.
 
     Args:
-        revolutions: (R,) merged in each ring.
+        revolutions: (R,) number merged in each ring.
     """
     return np.asarray(np.sqrt(6.0 / ((revolutions + 1) * (revolutions + 2))))

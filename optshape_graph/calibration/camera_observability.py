@@ -101,7 +101,7 @@ def check_observable(uncertainty: Uncertainty, centre: Floats) -> None:
 
 
 def parallel_planes(normals: Floats) -> str:
-    """Say in which directions plane normals (V, 3), LiDAR frame, hardly vary; empty: they vary in all.
+    """Say in which directions unit plane normals (V, 3), LiDAR frame, hardly vary; empty: they vary in all.
 
     Planes measure translation along their normals only, so what they leave open rests on the targets' edges.
     """

@@ -28,11 +28,11 @@ class TargetInScan:
         covariance: (6, 6) of its right perturbation, rotation first.
         measurement: the exact cost of the returns.
         shared: names of the errors that all scans of the LiDAR have in common: the range biases of its rings.
-        shared_effect: (6, k) how the pose moves, as a right perturbation, by a standard deviation of each.
+        shared_effect: (6, k) right perturbation of the pose, rad and metres, by a standard deviation of each.
         edge_inset: median azimuth from a ring's last return to the target's edge, rad; the estimate lets it be what it
             is in each scan.
         own: the returns on the target.
-        all_returns: (M, 3) every return of the scan, for overlays.
+        all_returns: (M, 3) every return of the scan, metres, for overlays.
     """
 
     lidar: str

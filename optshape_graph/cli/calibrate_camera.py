@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from optshape_graph.cli.options import outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -32,8 +33,10 @@ if TYPE_CHECKING:
     show_default=True,
     help="Prior standard deviation of a LiDAR's range bias, metres; 0: it has none.",
 )
+@outside_option
 def command(
     session: Path,
+    allow_outside: bool,
     json_path: Path | None,
     plots: Path | None,
     camchain: Path | None,
@@ -55,7 +58,7 @@ def command(
     from optshape_graph.io.documents import write_json, write_yaml
 
     with progress_bar("images and scans") as progress:
-        views = read_views(load_session(session), use_target_points, progress)
+        views = read_views(load_session(session, allow_outside=allow_outside), use_target_points, progress)
     with progress_bar("cross-validation") as progress:
         calibration = calibrate(views, Unknowns(range_bias_sigma, refine_intrinsics), progress)
     if json_path:

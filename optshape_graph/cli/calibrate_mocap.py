@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.cli.options import outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
 @click.option("--estimate-scale", is_flag=True, help="Estimate the motion capture's scale too; else it is 1.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
 @plot_option("errors of the scans, where the target stood, where the markers are")
-def command(session: Path, estimate_scale: bool, json_path: Path | None, plots: Path | None) -> int:
+@outside_option
+def command(
+    session: Path, estimate_scale: bool, json_path: Path | None, plots: Path | None, allow_outside: bool = False
+) -> int:
     """Calibrate T_lidar_mocap and the marker layout of a session, and compare the estimates with the markers.
 
     Errors are leave-one-out: each scan is compared in a frame fitted to the other scans. Exit status 3: some scans took
@@ -33,7 +37,7 @@ def command(session: Path, estimate_scale: bool, json_path: Path | None, plots: 
     from optshape_graph.io.documents import write_json
 
     with progress_bar("estimating") as progress:
-        scans, left_out = load_mocap_scans(load_session(session), progress)
+        scans, left_out = load_mocap_scans(load_session(session, allow_outside=allow_outside), progress)
     for item in left_out:
         click.echo(f"optshape: left out {item.scan}: {item.reason}", err=True)
     result = calibrate_mocap(scans, estimate_scale=estimate_scale)
@@ -43,7 +47,10 @@ def command(session: Path, estimate_scale: bool, json_path: Path | None, plots: 
         "T_lidar_mocap": result.T_lidar_mocap.tolist(),
         "covariance": result.covariance.tolist(),
         "marker_layout": result.marker_layout.tolist(),
-        "scans": [_entry(error) for error in result.leave_one_out],
+        "scans": [
+            {**_entry(error), "T_lidar_target": T}
+            for error, T in zip(result.leave_one_out, result.T_lidar_target, strict=True)
+        ],
         "mean": _numbers(mean_error(result.leave_one_out)),
         "in_sample": {
             "scans": [_entry(error) for error in result.in_sample],

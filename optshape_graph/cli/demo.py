@@ -11,12 +11,15 @@ What this was: eight scans of a target with motion-capture markers near its vert
 10 m, face-on and angled. The first table compares where the LiDAR sees the target with where the markers say it is:
 RMSE of the vertices, translation e_t, rotation e_r. The transforms are how the two systems stand to each other.
 
-What one sees:
+What there is in the folder:
+  mocap.json      all numbers, with covariances
+"""
+
+PICTURES = """\
   fit.png         one scan: its returns, and the template fitted to them, from the front and from the side
   errors.png      the first table as a picture
   placements.png  from above: the target by the LiDAR (outlines) and by the markers (circles) in one frame
   markers.png     how far each marker is from its vertex: they are near the vertices, not on them
-  mocap.json      all numbers, with covariances
 
 Your own: optshape estimate SCAN.pcd --target board.yaml --sensor vlp32c --plot pictures
 """
@@ -62,7 +65,8 @@ def command(ctx: click.Context, output: Path) -> int:
         figure = plot_fit(scan, estimate_pose(scan, next(iter(session.targets.values()))))
         click.echo(f"picture: {save_figure(figure, output / 'fit.png')}")
     click.echo(f"result: {output / 'mocap.json'}\n")
-    click.echo(EXPLANATION)
+    click.echo(EXPLANATION, nl=False)
     if plots:
+        click.echo(PICTURES)
         click.echo(f"Look at {output / 'fit.png'} first.")
     return status

@@ -88,10 +88,15 @@ def _versions() -> list[Check]:
         if extra not in extras:
             continue
         needs = extras[extra]
-        problems = [wrong for name, wanted in needs.items() if (wrong := _wrong(name, wanted, found[name]))]
+        missing = [name for name in needs if found[name] == Found(None)]
+        problems = [f"not installed: {', '.join(missing)}"] if missing else []
+        problems += [
+            wrong
+            for name, wanted in needs.items()
+            if name not in missing and (wrong := _wrong(name, wanted, found[name]))
+        ]
         there = ", ".join(f"{name} {found[name].version}" for name in needs if found[name].version)
-        absent = any(found[name] == Found(None) for name in needs)
-        status = "ok" if not problems else "absent" if absent else "broken"
+        status = "ok" if not problems else "absent" if missing else "broken"
         to_do = f"pip install '{DISTRIBUTION}[{extra}]'" if problems else ""
         checks.append(Check(f"extra {extra}", status, "; ".join(problems) or there, PURPOSES[extra], to_do))
     return checks

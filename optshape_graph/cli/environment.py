@@ -14,7 +14,13 @@ from typing import Any
 
 DISTRIBUTION = "optshape-graph"
 
-MODULES = {"opencv-python-headless": "cv2", "pyyaml": "yaml", "rerun-sdk": "rerun"}
+MODULES = {
+    "mkdocs-material": "material",
+    "opencv-python-headless": "cv2",
+    "pymdown-extensions": "pymdownx",
+    "pyyaml": "yaml",
+    "rerun-sdk": "rerun",
+}
 """Modules that are not called as what brings them."""
 
 PURPOSES = {

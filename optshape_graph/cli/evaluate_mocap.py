@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from optshape_graph.cli.options import outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "published_": "paper"}
@@ -23,7 +24,15 @@ OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "publish
 @click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), default=Path("evaluation"),
               show_default=True, help="Folder for the table.")  # fmt: skip
 @plot_option("errors of all scans")
-def command(folder: Path, reference: Path | None, json_path: Path | None, output: Path, plots: Path | None) -> int:
+@outside_option
+def command(
+    folder: Path,
+    reference: Path | None,
+    json_path: Path | None,
+    output: Path,
+    plots: Path | None,
+    allow_outside: bool,
+) -> int:
     """Compare the estimates of several sessions with their markers.
 
     DIR holds session folders, each with a session.yaml. Errors are leave-one-out: each scan is compared in a frame
@@ -44,7 +53,7 @@ def command(folder: Path, reference: Path | None, json_path: Path | None, output
     from optshape_graph.io.documents import write_json
 
     output.mkdir(parents=True, exist_ok=True)
-    sessions = find_sessions(folder)
+    sessions = find_sessions(folder, allow_outside=allow_outside)
     estimates = None if reference is None else load_reference(reference)
     with progress_bar("estimating") as progress:
         rows, left_out = evaluate_mocap(sessions, estimates, progress)

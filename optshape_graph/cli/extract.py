@@ -159,7 +159,9 @@ def _track(items: Iterable[Any], doing: str, total: int | None) -> Iterable[Any]
     from rich.console import Console
     from rich.progress import track
 
-    return track(items, description=doing, total=total, console=Console(stderr=True), transient=True)
+    console = Console(stderr=True)
+    hidden = not console.is_terminal
+    return track(items, description=doing, total=total, console=console, transient=True, disable=hidden)
 
 
 def _say(extraction: Extraction) -> None:

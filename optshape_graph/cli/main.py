@@ -19,6 +19,7 @@ COMMANDS = {
     "extract": "optshape_graph.cli.extract",
     "map": "optshape_graph.cli.map",
     "evaluate": "optshape_graph.cli.evaluate",
+    "view": "optshape_graph.cli.view",
     "demo": "optshape_graph.cli.demo",
     "doctor": "optshape_graph.cli.doctor",
     "completion": "optshape_graph.cli.completion",
@@ -34,11 +35,15 @@ HELP = {
     "extract": "Cut a session out of a bag or a folder of clouds: scans, images, markers.",
     "map": "Map targets and a trajectory out of a bag, a folder of clouds or a session.",
     "evaluate": "Measure how good the estimates are, beside what the paper reports.",
+    "view": "Show a scan or a result in space, in Rerun or Open3D.",
     "demo": "Calibrate a bundled session: a result and pictures, in seconds.",
     "doctor": "Look at the installation: versions, extras, a self-check, and what to do.",
     "completion": "Print the script that makes bash, zsh or fish complete commands.",
 }
 """One line per command, so that `optshape --help` imports none of them."""
+
+LONGEST_MESSAGE = 2000
+"""Characters of an error: a file may have a word of a million."""
 
 
 @click.group(
@@ -55,6 +60,12 @@ def cli(debug: bool) -> None:
     logging.basicConfig(format="optshape: %(levelname)s: %(message)s", level=logging.WARNING)
 
 
+def one_line(message: str) -> str:
+    """Return a message, which may quote a file, without line breaks and whatever else a terminal would obey."""
+    shown = message if len(message) <= LONGEST_MESSAGE else message[: LONGEST_MESSAGE - 3] + "..."
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in shown)
+
+
 def main() -> None:
     """Run the command line; every error is one line and a non-zero exit status."""
     debug = "--debug" in sys.argv
@@ -69,11 +80,12 @@ def main() -> None:
     except (optshape_graph.OptshapeError, OSError) as error:
         if debug:
             raise
-        click.echo(f"optshape: error: {error}", err=True)
+        click.echo(f"optshape: error: {one_line(str(error))}", err=True)
         sys.exit(2)
     except Exception as error:
         if debug:
             raise
-        click.echo(f"optshape: unexpected {type(error).__name__}: {error} (--debug shows where)", err=True)
+        said = one_line(str(error))
+        click.echo(f"optshape: unexpected {type(error).__name__}: {said} (--debug shows where)", err=True)
         sys.exit(1)
     sys.exit(code if isinstance(code, int) else 0)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.cli.options import outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
     from optshape_graph.mapping.recording import OdometryTrack, Progress
     from optshape_graph.scan import Scan
     from optshape_graph.target import Target
+
+
+MANY = 60
+"""Scans from which on several processes are worth their start."""
 
 
 @click.command()
@@ -49,15 +54,19 @@ if TYPE_CHECKING:
 @click.option("--as-built", type=float, metavar="METRES",
               help="Refine the targets' vertices, which were built to this standard deviation.")  # fmt: skip
 @click.option(
-    "--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes that detect targets."
+    "--workers",
+    type=click.IntRange(min=1),
+    help="Processes that detect targets.  [default: one for each core, for recordings of many scans]",
 )
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the map (optshape/map/1).")
 @click.option("--tum", "tum_file", type=click.Path(path_type=Path), help="Write the trajectory.")
 @click.option("--kitti", "kitti_file", type=click.Path(path_type=Path), help="Write the trajectory.")
 @click.option("--g2o", "g2o_file", type=click.Path(path_type=Path), help="Write the pose graph.")
 @plot_option("the map from above, and the structure of its graph")
+@outside_option
 def command(
     source: Path,
+    allow_outside: bool,
     target_names: tuple[str, ...],
     sensor_name: str | None,
     scan_topic: str | None,
@@ -71,7 +80,7 @@ def command(
     lag: float | None,
     batch: bool,
     as_built: float | None,
-    workers: int,
+    workers: int | None,
     json_file: Path | None,
     tum_file: Path | None,
     kitti_file: Path | None,
@@ -100,7 +109,9 @@ def command(
 
     if as_built is not None and (lag is not None or not batch):
         raise click.UsageError("--as-built needs the batch solution, so no --lag and no --no-batch")
-    scans, targets, track, expected, skipped = _open(source, target_names, sensor_name, scan_topic, odometry, mounting)
+    scans, targets, track, expected, skipped = _open(
+        source, target_names, sensor_name, scan_topic, odometry, mounting, allow_outside
+    )
     slam = LandmarkSlam(
         load_map(known) if known else None,
         lag=lag,
@@ -111,8 +122,13 @@ def command(
     noise = MotionNoise(odometry_noise[0], radians(odometry_noise[1]))
     progress = Progress()
     seen = observe_all(
-        keyframes(scans, track, policy, progress), targets, one_each, as_built is not None, workers
-    )  # fmt: skip
+        keyframes(scans, track, policy, progress),
+        targets,
+        one_each,
+        as_built is not None,
+        _processes(expected) if workers is None else workers,
+        biases=batch and lag is None,
+    )
     with _shown(progress, slam, expected) as report:
         build_map(slam, seen, noise, progress, report)
     slam.settle()
@@ -144,6 +160,14 @@ def command(
         click.get_current_context().exit(3)
 
 
+def _processes(expected: int | None) -> int:
+    """Processes for a recording: starting them takes about as long as detecting targets in MANY scans."""
+    import os
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores if expected is None or expected >= MANY else 1
+
+
 def _open(
     source: Path,
     target_names: tuple[str, ...],
@@ -151,6 +175,7 @@ def _open(
     scan_topic: str | None,
     odometry: str | None,
     mounting: tuple[float, ...] | None,
+    allow_outside: bool,
 ) -> tuple[Iterable[Stamped[Scan]], list[Target], OdometryTrack | None, int | None, Any]:
     """Scans, targets, odometry, the number of scans if it is known, and what says which messages were skipped."""
     from optshape_graph.io import load_sensor, load_session, load_target
@@ -167,7 +192,7 @@ def _open(
     if source.suffix.lower() in (".yaml", ".yml", ".json"):
         if target_names or sensor_name or scan_topic:
             raise click.UsageError("a session file names its own targets, sensor and scans")
-        session = load_session(source)
+        session = load_session(source, allow_outside=allow_outside)
         missed = Skipped()
         return (
             session_scans(session, missed), list(session.targets.values()),
@@ -219,7 +244,8 @@ def _shown(progress: Progress, slam: LandmarkSlam, expected: int | None) -> Iter
     from rich.progress import Progress as Bar
 
     columns = TextColumn("mapping"), BarColumn(), TextColumn("{task.fields[summary]}"), TimeRemainingColumn()
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=expected, summary="")
 
         def report(now: Progress) -> None:

@@ -33,9 +33,11 @@ def find_runs(sweep: Sweep, rows: Ints) -> Runs:
     """Cut returns, `rows` (N,) of one side of the sensor, into runs along their rings."""
     direction = np.exp(1j * sweep.azimuth[rows])
     azimuth = np.angle(direction * np.conj(direction.sum()))
-    order = np.lexsort((azimuth, sweep.ring[rows]))
-    rows, azimuth = rows[order], azimuth[order]
     ring = sweep.ring[rows]
+    turned, onward = np.diff(azimuth), np.diff(ring)
+    if ((onward < 0) | ((onward == 0) & (turned < 0))).any():  # mostly they are in order already
+        order = np.lexsort((azimuth, ring))
+        rows, azimuth, ring = rows[order], azimuth[order], ring[order]
     starts = (np.diff(ring, prepend=-1) != 0) | (np.diff(azimuth, prepend=0.0) > LONGEST_GAP * sweep.resolution.step)
     first = np.flatnonzero(starts)
     last = np.append(first[1:], len(rows)) - 1 if len(rows) else first

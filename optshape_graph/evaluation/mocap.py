@@ -24,14 +24,19 @@ PROTOCOLS = ("", "in_sample_", "reference_", "published_")
 """Prefixes of columns of errors: ours, leave-one-out; ours, in-sample; another method's, leave-one-out; the paper's."""
 
 
-def find_sessions(folder: str | Path) -> list[Session]:
+def find_sessions(folder: str | Path, *, allow_outside: bool = False) -> list[Session]:
     """Load the sessions with motion capture of a folder: its own session.yaml, and those of the folders in it.
+
+    Args:
+        folder: the folder.
+        allow_outside: see `load_session`.
 
     Raises:
         InputError: there is none, or one cannot be read.
     """
     folder = Path(folder)
-    found = [load_session(path) for path in sorted([*folder.glob("session.yaml"), *folder.glob("*/session.yaml")])]
+    paths = sorted([*folder.glob("session.yaml"), *folder.glob("*/session.yaml")])
+    found = [load_session(path, allow_outside=allow_outside) for path in paths]
     sessions = [session for session in found if session.mocap is not None]
     if not sessions:
         raise InputError(f"{folder}: expected session.yaml with 'mocap', in it or in a folder of it; found none")

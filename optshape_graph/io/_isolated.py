@@ -1,8 +1,8 @@
-"""Program that reads a C3D or MAT file and writes its markers as arrays: `python -m ... FORMAT FILE FILE.npz`.
+"""Program that reads a C3D, MAT or mesh file and writes what it has as arrays: `python -m ... FORMAT FILE FILE.npz`.
 
-It is a process of its own because the readers, ezc3d and scipy.io, are native code that damaged files crash or hang:
-6 of 60 damaged copies of a small C3D file (ezc3d 1.7.2), some of thousands of a MAT file (scipy 1.17.1). That must
-cost an error message, not the caller's process.
+It is a process of its own because the readers, ezc3d, scipy.io and Open3D, are native code that damaged files crash or
+hang: 6 of 60 damaged copies of a small C3D file (ezc3d 1.7.2), some of thousands of a MAT file (scipy 1.17.1). That
+must cost an error message, not the caller's process.
 """
 
 from __future__ import annotations
@@ -28,21 +28,28 @@ BYTES = 8 << 30
 """Memory that reading a file may take."""
 
 ABSENT = 3
-"""Exit status where ezc3d cannot be imported."""
+"""Exit status where the library cannot be imported."""
+
+_LIBRARIES = {"c3d": ("ezc3d", "mocap"), "mat": ("scipy", "mocap"), "mesh": ("open3d", "mesh")}
+"""What reads a form, and the extra that brings it."""
 
 Arrays = dict[str, NDArray[Any]]
 
 
 def read_isolated(form: str, path: Path) -> Arrays:
-    """Return what a file has, as it has it: `positions` (F, M, 3) with NaN for gaps, `labels`, `rate` and `unit`.
+    """Return what a file has, as it has it.
 
     Args:
-        form: "c3d", or "mat" as Qualisys Track Manager exports it.
+        form: "c3d", or "mat" as Qualisys Track Manager exports it; or "mesh", of any format that Open3D reads.
         path: the file.
+
+    Returns:
+        Of markers, `positions` (F, M, 3) with NaN for gaps, `labels`, `rate` and `unit`; of a mesh, `vertices` (V, 3)
+        and `triangles` (T, 3).
 
     Raises:
         InputError: not readable.
-        MissingExtraError: ezc3d is needed and not installed.
+        MissingExtraError: the library is not installed.
     """
     with tempfile.TemporaryDirectory() as folder:
         arrays = Path(folder) / "markers.npz"
@@ -56,7 +63,7 @@ def read_isolated(form: str, path: Path) -> Arrays:
         except subprocess.TimeoutExpired as error:
             raise InputError(f"{path}: not a readable {form} file: reading it did not end in {SECONDS} s") from error
         if child.returncode == ABSENT:
-            raise missing_extra("ezc3d", "mocap", ImportError(child.stderr.strip()))
+            raise missing_extra(*_LIBRARIES[form], ImportError(child.stderr.strip()))
         if child.returncode:
             said = child.stderr.strip().splitlines()[-1:] if child.returncode > 0 else []
             reason = said[0] if said else f"its reader crashed (status {child.returncode})"
@@ -104,10 +111,21 @@ def _read_mat(path: str) -> Arrays:
     }
 
 
+def _read_mesh(path: str) -> Arrays:
+    try:
+        import open3d
+    except OSError as error:  # a system library that Open3D loads is absent
+        raise ImportError(str(error)) from error
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        mesh = open3d.io.read_triangle_mesh(Path(path))
+    return {"vertices": np.asarray(mesh.vertices), "triangles": np.asarray(mesh.triangles)}
+
+
 def main(form: str, path: str, arrays: str) -> int:
     """Read `path`, write `arrays`; return the exit status."""
     resource.setrlimit(resource.RLIMIT_AS, (BYTES, BYTES))
-    readers: dict[str, Callable[[str], Arrays]] = {"c3d": _read_c3d, "mat": _read_mat}
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    readers: dict[str, Callable[[str], Arrays]] = {"c3d": _read_c3d, "mat": _read_mat, "mesh": _read_mesh}
     try:
         content = readers[form](path)
     except ImportError as error:

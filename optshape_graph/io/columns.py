@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import itertools
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -58,7 +60,19 @@ def parse_table(
         try:
             table = np.loadtxt(io.BytesIO(body), dtype, None, delimiter, usecols=usecols, ndmin=1, encoding="latin-1")
         except (ValueError, OverflowError) as error:
-            raise InputError(f"{path}: after line {first_line - 1}: {error}") from error
+            raise InputError(f"{path}:{_what_is_wrong(str(error), bytes(body), first_line)}") from error
     if rows is not None and len(table) != rows:
         raise InputError(f"{path}: the header promises {rows} points, {len(table)} lines of points follow it")
     return table
+
+
+def _what_is_wrong(complaint: str, body: bytes, first_line: int) -> str:
+    """Line, problem and column out of NumPy's complaint, which counts the lines of points from 0."""
+    complaint = complaint.replace("the dtype passed requires", "expected")
+    found = re.search(r"at row (\d+)(?:, column (\d+))?[^']*\Z", complaint)
+    if found is None:
+        return f" {complaint}"
+    problem = complaint[: found.start()].rstrip(" ,")
+    lines = (line for line, text in enumerate(body.splitlines(), first_line) if text.strip())
+    line = next(itertools.islice(lines, int(found[1]), None), first_line)
+    return f"{line}: {problem}" + (f" in column {found[2]}" if found[2] else "")

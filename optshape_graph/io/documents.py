@@ -11,7 +11,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.io.files import is_file, read_text, write_atomically
+from optshape_graph.io.files import inside, is_file, read_text, write_atomically
 from optshape_graph.io.yaml_core import Key, dump_yaml, parse_yaml
 
 __all__ = [
@@ -46,12 +46,14 @@ class Node:
         path: the file.
         key: keys and indices from the document's root to this value.
         lines: the line of each key, counted from 1; empty for JSON.
+        anywhere: whether the files that it names may be outside of its folder (see `place`).
     """
 
     value: Any
     path: Path
     key: Key = ()
     lines: Mapping[Key, int] = field(default_factory=dict, repr=False)
+    anywhere: bool = True
 
     @property
     def where(self) -> str:
@@ -74,7 +76,7 @@ class Node:
 
     def at(self, key: str | int) -> Node:
         """The value under a key or index that is known to be there."""
-        return Node(self.value[key], self.path, (*self.key, key), self.lines)
+        return Node(self.value[key], self.path, (*self.key, key), self.lines, self.anywhere)
 
     def entries(self) -> dict[str, Node]:
         """The values of a mapping whose keys are names that the author chose."""
@@ -153,28 +155,49 @@ class Node:
 
         return frozen(collect(self, shape))
 
+    def place(self) -> Path:
+        """The path that this text is, whether or not there is a file; a relative one starts at the document's folder.
+
+        Unless files may be anywhere, a relative path must lead into that folder, or into the one above, where the
+        sessions of a campaign keep what they share (`../target.yaml`). What leads farther, by `..` or by a link, is
+        refused: it means another file when the folder is moved or copied. An absolute path says where it leads, and is
+        followed.
+
+        Raises:
+            InputError: it is no text, or leads too far.
+        """
+        text = self.text()
+        path = self.path.parent / text
+        if not self.anywhere and not Path(text).is_absolute():
+            try:
+                inside(path, self.path.parent.resolve().parent, "its folder and the one above,")
+            except InputError as error:
+                self.fail(f"{error}; write the whole path, or allow it (--allow-outside)")
+        return path
+
     def file(self) -> Path:
-        """The path of a file that exists; a relative one starts at the document's folder."""
-        path = self.path.parent / self.text()
+        """The `place` of a file that exists."""
+        path = self.place()
         if not is_file(path):
             self.fail(f"no such file: {path}")
         return path
 
 
-def read_document(path: str | Path, kind: str, version: int = 1) -> Node:
+def read_document(path: str | Path, kind: str, version: int = 1, anywhere: bool = True) -> Node:
     """Read a file of this package's forms and check what it says it is.
 
     Args:
         path: a `.json` file, or else YAML.
         kind: what the file should be, as in `schema: optshape/<kind>/<version>`.
         version: the version that the caller reads.
+        anywhere: whether the files that it names may be outside of its folder (see `Node.place`).
 
     Raises:
         InputError: not readable, not well-formed, or of another kind or version.
     """
     root = read_json(path) if Path(path).suffix.lower() == ".json" else read_yaml(path)
     check_schema(root, kind, version)
-    return root
+    return replace(root, anywhere=anywhere)
 
 
 def check_schema(root: Node, kind: str, version: int = 1) -> None:

@@ -18,6 +18,11 @@ from optshape_graph.errors import InputError
 from optshape_graph.io.columns import Columns
 from optshape_graph.io.files import LARGEST_FILE, read_bytes
 
+LARGEST_RATIO = 50
+"""Bytes that a compressed one may become, beyond `SMALL` in all: noise hardly compresses, and every scan has noise."""
+
+SMALL = 64 << 20
+
 _DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -45,8 +50,9 @@ def read_npz(path: str | Path) -> Columns:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = [info for info in archive.infolist() if info.filename.endswith(".npy")]
-            if sum(info.file_size for info in members) > LARGEST_FILE:
-                raise InputError(f"{path}: its arrays claim more than {LARGEST_FILE} bytes")
+            claimed = sum(info.file_size for info in members)
+            if claimed > LARGEST_FILE or claimed > SMALL + LARGEST_RATIO * len(data):
+                raise InputError(f"{path}: its arrays claim {claimed} bytes, out of {len(data)} compressed ones")
             arrays = {info.filename.removesuffix(".npy"): _read_array(path, archive, info) for info in members}
     except InputError:
         raise

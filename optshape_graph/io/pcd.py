@@ -47,7 +47,8 @@ def read_pcd(path: str | Path) -> Columns:
     _check_viewpoint(path, header.get("VIEWPOINT", _NO_VIEWPOINT))
     match header["DATA"]:
         case ["ascii"]:
-            table = parse_table(path, body, dtype, points)
+            first = bytes(data[: len(data) - len(body)]).count(b"\n") + 1
+            table = parse_table(path, body, dtype, points, first_line=first)
         case ["binary"]:
             table = _parse_binary(path, body, dtype, points)
         case ["binary_compressed"]:

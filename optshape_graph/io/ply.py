@@ -37,7 +37,8 @@ def read_ply(path: str | Path) -> Columns:
     if form == "ascii":
         # Lines after the vertices belong to other elements (faces), which have another number of columns.
         lines = bytes(body).splitlines()
-        table = parse_table(path, b"\n".join(lines[:count]), dtype, count)
+        first = data[:start].count(b"\n") + 1
+        table = parse_table(path, b"\n".join(lines[:count]), dtype, count, first_line=first)
     else:
         if len(body) < count * dtype.itemsize:
             _fail(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
+from optshape_graph.io.builtin import builtin_names
 from optshape_graph.io.cameras import load_camera
 from optshape_graph.io.documents import Node, read_document
 from optshape_graph.io.markers import UNITS, Markers, read_markers
@@ -87,19 +88,24 @@ class Session:
     mocap: Mocap | None = None
 
 
-def load_session(path: str | Path) -> Session:
+def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
     """Read a session and what it names: sensors, targets, intrinsics, markers. Scans and images stay files.
 
     Paths start at the session's folder. The short form has `sensor`, `target`, `camera`; the general form `lidars`,
     `targets`, `cameras`, and each view says which it means (what there is only one of may be left out; without
     `targets`, any may be in view).
 
+    Args:
+        path: the session's file.
+        allow_outside: whether relative paths may lead farther than into the session's folder and the one above, by
+            `..` or by a link. Absolute paths may always: they say where they lead.
+
     Raises:
         InputError: not readable; a missing, unknown or wrong key; a file that is missing or wrong; a LiDAR, camera,
             target, vertex, marker or marker frame that is not there. The message names file, line and key.
     """
     path = Path(path)
-    root = read_document(path, "session")
+    root = read_document(path, "session", anywhere=allow_outside)
     fields = root.fields(
         ["schema"],
         ["name", "sensor", "lidars", "target", "targets", "camera", "cameras", "views", "scans", "mocap"],
@@ -133,8 +139,10 @@ def _named(
     return {key: read(node) for key, node in fields[several].entries().items()} if several in fields else {}
 
 
-def _loaded(node: Node, load: Callable[[str, Path], T]) -> T:
-    """What a name or path leads to, its errors with the line that gave the path."""
+def _loaded(node: Node, load: Callable[[str, Path], T], names: Sequence[str]) -> T:
+    """What a built-in name or path leads to, its errors with the line that gave the path."""
+    if node.text().partition("@")[0] not in names:
+        node.place()
     try:
         return load(node.text(), node.path.parent)
     except InputError as error:
@@ -144,16 +152,16 @@ def _loaded(node: Node, load: Callable[[str, Path], T]) -> T:
 def _sensor(node: Node) -> SensorModel:
     if isinstance(node.value, dict):  # of the general form
         node = node.fields(["sensor"])["sensor"]
-    return _loaded(node, load_sensor)
+    return _loaded(node, load_sensor, builtin_names("sensor"))
 
 
 def _target(node: Node) -> Target:
-    return _loaded(node, load_target)
+    return _loaded(node, load_target, builtin_names("target"))
 
 
 def _camera(node: Node) -> CameraIntrinsics:
     name = node.key[-1]
-    return _loaded(node, lambda text, folder: load_camera(folder / text, str(name)))
+    return _loaded(node, lambda text, folder: load_camera(folder / text, str(name)), [])
 
 
 def _view(

@@ -19,6 +19,9 @@ from optshape_graph.errors import InputError
 DEEPEST = 50
 """Levels of nesting; the deepest form of this package has eight."""
 
+MOST_VALUES = 500_000
+"""Values of a document: each costs some hundred bytes. A session of ten thousand views has a tenth of that."""
+
 Key: TypeAlias = tuple[str | int, ...]
 """Keys and indices from the root of a document to a value."""
 
@@ -102,6 +105,8 @@ class _Builder:
         if (tag := getattr(event, "tag", None)) not in (None, "!"):
             self._fail(event, f"tags are not read, found '{tag}'; expected plain values")
         self.lines.setdefault(key, _line(event))
+        if len(self.lines) > MOST_VALUES:
+            self._fail(event, f"more than {MOST_VALUES} values; expected large data in other files")
         if isinstance(event, yaml.ScalarEvent):
             return self._scalar(event)
         if isinstance(event, yaml.SequenceStartEvent):

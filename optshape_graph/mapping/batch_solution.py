@@ -49,7 +49,7 @@ class BatchSolution:
         converged: whether a further step would gain nothing.
         iterations: steps taken.
         chi2: (K,) of each match, in the order of tracks and matches: see `Residual`.
-        weight: (K,) that the robust loss gives it.
+        weight: (K,) that the robust loss gives it, a number from 0 to 1.
         linearise: makes the graph, linearised at the solution.
         keys: of the poses of each track, and of the landmarks.
         templates: of the landmarks, their vertices as built where those were refined.

@@ -19,9 +19,13 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph.factors import BiasedMeasurement
 from optshape_graph.factors._rows import factored, triangular
 from optshape_graph.factors.se3 import vec, vec_derivative
 from optshape_graph.mapping.track import MappingProblem
+
+BLOCK = 256
+"""Matches that are linearised at a time: more would only take memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,19 +36,19 @@ class Biases:
         matches: (B,) numbers of the matches that are linear in them.
         track: (B,) of each of those.
         names: of each track's biases, in the order of its variable; empty: none of its matches has any.
-        rows: (B, n, m + 13) rows over [beta; z; 1], beta padded to the most biases that a track has.
+        measurements: of each of those matches.
         replaced: (K,) whether a match is among them, instead of its template measurement.
     """
 
     matches: Ints
     track: Ints
     names: tuple[tuple[str, ...], ...]
-    rows: Floats
+    measurements: tuple[BiasedMeasurement, ...]
     replaced: Bools
 
     @classmethod
     def of(cls, problem: MappingProblem, wanted: bool, taken: Bools) -> Biases:
-        """Collect the matches whose sightings have their biases, but for those that are taken already."""
+        """Collect the matches (K,) whose sightings have their biases, but for those that are taken already, (K,)."""
         matches = [(t, match) for t, track in enumerate(problem.tracks) for match in track.matches]
         biased = {k: match.biased for k, (_, match) in enumerate(matches) if wanted and not taken[k]}
         found = {k: measurement for k, measurement in biased.items() if measurement is not None}
@@ -52,14 +56,10 @@ class Biases:
             tuple(sorted({name for k, m in found.items() if matches[k][0] == t for name in m.shared}, key=_natural))
             for t in range(len(problem.tracks))
         )
-        m = max(map(len, names), default=0)
-        rows = np.zeros((len(found), max((len(one.stack) for one in found.values()), default=0), m + 13))
-        for row, (k, one) in zip(rows, found.items(), strict=True):
-            place = [names[matches[k][0]].index(name) for name in one.shared]
-            row[: len(one.stack), [*place, *range(m, m + 13)]] = one.stack
         replaced = np.zeros(len(matches), dtype=bool)
         replaced[list(found)] = True
-        return cls(np.array(list(found), int), np.array([matches[k][0] for k in found], int), names, rows, replaced)
+        track = np.array([matches[k][0] for k in found], int)
+        return cls(np.array(list(found), int), track, names, tuple(found.values()), replaced)
 
     def insert(self, values: gtsam.Values, keys: Mapping[int, int]) -> None:
         """Add the biases, zero, to initial values."""
@@ -68,18 +68,31 @@ class Biases:
 
     def at(self, H: Floats, values: gtsam.Values, keys: Mapping[int, int]) -> BiasModel:
         """Linearise the matches at T_target_lidar (B, 4, 4) and the biases in `values`."""
-        m = self.rows.shape[2] - 13
+        m = max(map(len, self.names))
         beta = np.zeros((len(self.names), m))
         for t, key in keys.items():
             beta[t, : len(self.names[t])] = values.atVector(key)
-        B, A, r = self.rows[..., :m], self.rows[..., m:-1], self.rows[..., -1:]
-        residual = B @ beta[self.track][..., None] + A @ vec(H)[..., None] + r
-        R = factored(np.concatenate([A @ vec_derivative(H), B, residual], axis=-1))
-        alone = {}
-        for t in keys:
-            prior = np.column_stack([np.eye(m), beta[t]])
-            alone[t] = triangular(np.vstack([R[self.track == t, 6:, 6:].reshape(-1, m + 1), prior]))
-        return BiasModel(R[:, :6, :6], R[:, :6, 6:-1], R[:, :6, -1], alone)
+        alone = {t: np.column_stack([np.eye(m), beta[t]]) for t in keys}  # the prior
+        linked = np.zeros((len(H), 6, m + 7))
+        for first in range(0, len(H), BLOCK):
+            block = slice(first, first + BLOCK)
+            track, rows = self.track[block], self._rows(block, m)
+            B, A, r = rows[..., :m], rows[..., m:-1], rows[..., -1:]
+            residual = B @ beta[track][..., None] + A @ vec(H[block])[..., None] + r
+            R = factored(np.concatenate([A @ vec_derivative(H[block]), B, residual], axis=-1))
+            linked[block] = R[:, :6]
+            for t in set(track.tolist()):
+                alone[t] = triangular(np.vstack([alone[t], R[track == t, 6:, 6:].reshape(-1, m + 1)]))
+        return BiasModel(linked[..., :6], linked[..., 6:-1], linked[..., -1], alone)
+
+    def _rows(self, block: slice, m: int) -> Floats:
+        """(b, n, m + 13) rows over [beta; z; 1] of some matches, beta as their tracks have it, padded to m."""
+        some = self.measurements[block]
+        rows = np.zeros((len(some), max(len(one.stack) for one in some), m + 13))
+        for row, one, t in zip(rows, some, self.track[block].tolist(), strict=True):
+            place = [self.names[t].index(name) for name in one.shared]
+            row[: len(one.stack), [*place, *range(m, m + 13)]] = one.stack
+        return rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +100,9 @@ class BiasModel:
     """Gauss-Newton models 1/2 ||R xi + E beta + d||^2 of matches, and what is of the biases alone, steps from here.
 
     Attributes:
-        R: (B, 6, 6) by the right perturbation of H.
-        E: (B, 6, m) by the biases.
-        d: (B, 6).
+        R: (B, 6, 6) by the right perturbation of H, whitened.
+        E: (B, 6, m) by the biases, whitened.
+        d: (B, 6) whitened.
         alone: by track, (m + 1, m + 1) rows [S s; 0 c] over [beta; 1], the prior among them.
     """
 

@@ -66,6 +66,10 @@ class MotionNoise:
 class OdometryTrack:
     """Poses over time, asked for in order of time, and forgotten when they have passed.
 
+    Args:
+        poses: T_odometry_body (4, 4) in order of time.
+        T_body_lidar: (4, 4) of the LiDAR on the body; None: they are one.
+
     Attributes:
         T_body_lidar: (4, 4) of the LiDAR on the body that the poses are of.
     """
@@ -172,6 +176,9 @@ def session_scans(session: Session, skipped: Skipped) -> Iterator[Stamped[Scan]]
     """Yield a session's scans by their stamps; without stamps, a second apart in the file's order.
 
     A file that cannot be read is skipped and counted.
+
+    Raises:
+        InputError: stamps of some views only, or several LiDARs.
     """
     stamped = [view for view in session.views if view.stamp is not None]
     if stamped and len(stamped) < len(session.views):

@@ -40,7 +40,14 @@ SETTLING = 10
 
 @dataclass(eq=False)
 class Known:
-    """A landmark in the graph."""
+    """A landmark in the graph.
+
+    Attributes:
+        key: of T_world_target.
+        target: its template.
+        observations: number of sightings in the graph.
+        surveyed: it was known before, and is no result of this graph.
+    """
 
     key: int
     target: Target
@@ -98,7 +105,7 @@ class LandmarkGraph:
         return self._smoother.pose(self.landmarks[name].key)
 
     def covariance(self, landmarks: Sequence[str] = (), poses: Sequence[int] = ()) -> Floats:
-        """Return the joint covariance of landmarks and poses, in that order, right perturbations, rotation first.
+        """Return the joint covariance (d, d) of landmarks, then poses, each of its right perturbation, rotation first.
 
         Raises:
             InputError: no such landmark or pose, or one that a lag has marginalised.
@@ -191,7 +198,7 @@ class LandmarkGraph:
             self.odometry.clear()
 
     def add_landmark(self, name: str, target: Target, T_world_target: Floats, matches: Sequence[Match]) -> bool:
-        """Add a landmark with its matches; say whether the graph bears it."""
+        """Add a landmark at T_world_target (4, 4) with its matches; say whether the graph bears it."""
         entry = self._begin(name, target)
         T_target_lidar = [inverse(T_world_target) @ self.T_world_lidar(match.pose) for match in matches]
         values = gtsam.Values()

@@ -68,7 +68,7 @@ class Observed(NamedTuple):
     failure: str
 
 
-def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: bool) -> Observed:
+def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: bool, biases: bool = True) -> Observed:
     """Find the targets in a keyframe's scan, moved to the scan's stamp.
 
     A scan with times is deskewed: whatever the LiDAR did in between is a known motion. Outlines are straight then; but
@@ -79,6 +79,7 @@ def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: 
         targets: to look for.
         named: whether there is one of each template, so that the template is the landmark's name.
         shapes: whether to keep what refines the vertices.
+        biases: whether to keep what tells the biases of the LiDAR's rings: a few kilobytes for each sighting.
     """
     scan, twist = keyframe.scan, keyframe.twist
     moving = scan.time is not None and bool((np.abs(twist) > SLOW).any())
@@ -94,9 +95,9 @@ def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: 
             continue  # which target it is, is not known
         fired, returns = scan.select(detection.indices), straight.select(detection.indices)
         if moving and _lifted(fired, returns) > OFF_ITS_RING:
-            seen = _moving_sighting(fired, detection.target, twist, name, shapes)
+            seen = _moving_sighting(fired, detection.target, twist, name, shapes, biases)
         elif detection.estimate.status != "failed":
-            seen = _sighting(detection.estimate, returns, name, shapes)
+            seen = _sighting(detection.estimate, returns, name, shapes, biases)
         else:
             seen = None
         if seen is not None:
@@ -113,12 +114,14 @@ def _lifted(fired: Scan, straight: Scan) -> float:
     return float(np.abs(after - before).max() / np.diff(of_ring).min())  # four rings at least: it was detected
 
 
-def _sighting(estimate: PoseEstimate, returns: Scan, name: str | None, shapes: bool) -> Sighting:
+def _sighting(estimate: PoseEstimate, returns: Scan, name: str | None, shapes: bool, biases: bool) -> Sighting:
     shape = shape_measurement(estimate, returns) if shapes and estimate.status == "ok" else None
-    return Sighting.of(estimate, name, shape)
+    return Sighting.of(estimate, name, shape, biases=biases)
 
 
-def _moving_sighting(returns: Scan, target: Target, twist: Floats, name: str | None, shapes: bool) -> Sighting | None:
+def _moving_sighting(
+    returns: Scan, target: Target, twist: Floats, name: str | None, shapes: bool, biases: bool
+) -> Sighting | None:
     """A sighting from the scan's stamp, of returns taken while moving; None where they give no pose."""
     try:
         estimate, at = estimate_moving(returns, target, twist)
@@ -126,15 +129,20 @@ def _moving_sighting(returns: Scan, target: Target, twist: Floats, name: str | N
         return None
     if estimate.status == "failed":
         return None
-    sighting = _sighting(estimate, deskew(returns, twist, at), name, shapes)
+    sighting = _sighting(estimate, deskew(returns, twist, at), name, shapes, biases)
     return sighting.moved(gtsam.Pose3.Expmap(at * twist).matrix())
 
 
 def observe_all(
-    frames: Iterable[Keyframe], targets: Sequence[Target], named: bool, shapes: bool, workers: int = 1
+    frames: Iterable[Keyframe],
+    targets: Sequence[Target],
+    named: bool,
+    shapes: bool,
+    workers: int = 1,
+    biases: bool = True,
 ) -> Iterator[Observed]:
     """Observe keyframes in their order, with several processes, a few scans ahead: memory does not grow."""
-    work = partial(observe, targets=tuple(targets), named=named, shapes=shapes)
+    work = partial(observe, targets=tuple(targets), named=named, shapes=shapes, biases=biases)
     if workers == 1:
         yield from map(work, frames)
         return

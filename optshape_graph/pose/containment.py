@@ -55,7 +55,7 @@ class Containment:
 
     Attributes:
         mean: (3,) angle, rad, and t, metres.
-        covariance: (3, 3) of the same.
+        covariance: (3, 3) matrix of the same.
         log_mass: logarithm of the integral of the likelihood over the set, rad m2.
     """
 

@@ -21,7 +21,7 @@ GAP_EVIDENCE = 5.0
 """Gain in log likelihood from which on a firing within a ring is taken to have returned nothing: one in 150 does."""
 
 IRREGULAR = 4.0
-"""Standard deviations by which azimuths may scatter more about the grid than the noise, before there is none."""
+"""Standard deviations by which azimuths may scatter more about the grid than elevations do, before there is none."""
 
 
 def place_on_firings(edges: EdgePoints, scan: Scan, azimuth_noise: float) -> EdgePoints:
@@ -49,10 +49,10 @@ def place_on_firings(edges: EdgePoints, scan: Scan, azimuth_noise: float) -> Edg
     slots = _slots(steps, jitter)
     left = np.nanmean(steps + slots, axis=1)
     off = steps + slots - left[:, None]
-    freedom = len(scan) - len(counts)
-    excess = np.nansum(off**2) / jitter**2 - freedom
+    freedom = max(len(scan) - len(counts), 1)
+    ratio = np.nansum(off**2) / (freedom * jitter**2)  # of two variances, each of about as many returns
     merged = len(scan) / np.sum(1.0 + np.nanmax(steps, axis=1) - np.nanmin(steps, axis=1))
-    if merged > 1.5 or excess > IRREGULAR * np.sqrt(2 * freedom):
+    if merged > 1.5 or np.log(ratio) > IRREGULAR * 2 / np.sqrt(freedom):
         revolutions = edges.revolutions[::2] if merged > 1.5 else np.ones(len(counts))
         return _extremes(edges, revolutions, counts, jitter)
     right = left - np.nanmax(slots, axis=1)

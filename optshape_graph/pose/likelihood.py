@@ -35,13 +35,13 @@ class Firings:
     """What a scan says of chords, in azimuth steps.
 
     Attributes:
-        left: (R,) last firing to the left of each ring that returned, from the reference azimuth.
-        right: (R,) last to the right.
-        shift: (R,) standard deviation of where they are.
-        offset: (R,) azimuth of each ring's laser relative to the sensor's.
+        left: (R,) last firing to the left of each ring that returned, number from the reference azimuth.
+        right: (R,) last to the right, number likewise.
+        shift: (R,) standard deviation of where they are, in units of steps.
+        offset: (R,) azimuth of each ring's laser relative to the sensor's, in units of steps.
         elevations: (R,) of those rings, rad.
         empty: (O,) elevations of rings above and below them, that returned nothing, rad.
-        empty_offset: (O,) azimuth of their lasers.
+        empty_offset: (O,) azimuth of their lasers, in units of steps.
         lost_end: probability that a ring's end is not where its last return says.
         lost_ring: probability that a ring returns nothing whatever its chord.
         step: rad.

@@ -24,13 +24,18 @@ COMPETING = 25.0
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Posteriors, each with its own association, and their log likelihoods, best first."""
+    """Posteriors, each with its own association, and their log likelihoods, best first.
+
+    Attributes:
+        posterior: C of them.
+        score: (C,) log likelihoods.
+    """
 
     posterior: Posterior
     score: Floats
 
     def select(self, index: Ints) -> Candidates:
-        """Return some of them, in another order."""
+        """Return some of them, at indices (K,), in another order."""
         return Candidates(self.posterior.select(index), self.score[index])
 
 

@@ -36,7 +36,11 @@ BANDS = (4, 16, 64, 256)
 
 
 def estimate_ringless(scan: Scan, target: Target, backend: Backend = "clarabel") -> PoseEstimate:
-    """Estimate a target's pose from returns without rings; see `estimate_pose`."""
+    """Estimate a target's pose from returns without rings; see `estimate_pose`.
+
+    Raises:
+        EstimationError: no pose contains the returns.
+    """
     plane = fit_plane(scan.points, None)
     returns = _with_biases(scan, plane)
     q = ((returns.points - plane.centre) @ plane.axes.T)[:, 1:]

@@ -22,10 +22,12 @@ from optshape_graph.pose.propagation import Problem
 SAMPLES = 1024
 """Poses that are drawn about a mode, in each round."""
 
-_ROUNDS = 2
+ROUNDS = (2, 5)
+"""Rounds at least, and at most where the samples are worth few."""
+
 _FREEDOM = 6.0  # degrees of freedom of the t distribution that poses are drawn from: its tails are heavy
 _WIDENING = 1.3  # of the posterior's standard deviations
-_ENOUGH = 30  # effective samples from which the next round's distribution is made
+_ENOUGH = 100  # effective samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,9 @@ def sample_mode(T_target_lidar: Floats, covariance: Floats, problem: Problem, fi
     normal, squared = _draws()
     mean = np.zeros(6)
     result = SampledMode(-np.inf, T, covariance, 0.0)
-    for _ in range(_ROUNDS):
+    for number in range(ROUNDS[1]):
+        if number >= ROUNDS[0] and result.effective > _ENOUGH:
+            break
         root = np.linalg.cholesky(_WIDENING**2 * covariance)
         xi = mean + normal @ root.T
         log_density = -0.5 * (_FREEDOM + 6) * np.log1p(squared / _FREEDOM) - np.log(np.diag(root)).sum()
@@ -71,8 +75,8 @@ def sample_mode(T_target_lidar: Floats, covariance: Floats, problem: Problem, fi
         mean = weight @ xi
         covariance = (weight[:, None] * (xi - mean)).T @ (xi - mean)
         result = SampledMode(log_total - _LOG_NORMALISER, _moved(T, mean[None])[0][0], covariance, effective)
-        if effective < _ENOUGH:
-            covariance = covariance + root @ root.T / 4
+        if effective < 0.3 * _ENOUGH:
+            covariance = covariance + root @ root.T / 4  # too few to tell the shape
     return result
 
 

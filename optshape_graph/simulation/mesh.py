@@ -9,6 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.errors import InputError, missing_extra
+from optshape_graph.io._isolated import read_isolated
 from optshape_graph.simulation.rays import EdgeMargin, Sphere
 from optshape_graph.simulation.surfaces import Hits
 
@@ -56,15 +57,14 @@ class Mesh:
         Raises:
             InputError: the file is absent or holds no triangles.
         """
-        o3d, path = _open3d(), Path(path)
+        path = Path(path)
         if not path.is_file():
             raise InputError(f"{path}: no such file; expected a mesh")
-        with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-            mesh = o3d.io.read_triangle_mesh(str(path))
-        if len(mesh.triangles) == 0:
+        mesh = read_isolated("mesh", path)
+        if len(mesh["triangles"]) == 0:
             raise InputError(f"{path}: holds no triangles; expected a mesh (PLY, STL, OBJ, OFF, GLTF)")
-        vertices = scale * np.asarray(mesh.vertices) @ T_world_mesh[:3, :3].T + T_world_mesh[:3, 3]
-        return cls(vertices, np.asarray(mesh.triangles), reflectivity, str(path))
+        vertices = scale * mesh["vertices"] @ T_world_mesh[:3, :3].T + T_world_mesh[:3, 3]
+        return cls(vertices, mesh["triangles"], reflectivity, str(path))
 
     def cast(self, origins: Floats, directions: Floats, margin: EdgeMargin) -> Hits:
         """See `Surface.cast`."""

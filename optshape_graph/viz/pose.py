@@ -49,7 +49,7 @@ def plot_estimate(scan: Scan, estimate: PoseEstimate) -> dict[str, Figure]:
 
     Args:
         scan: the returns that the estimate was made of.
-        estimate: of the pose; of a failed one, the vertices are not drawn.
+        estimate: of the pose; of a failed one the vertices are not drawn, and of a cloud without rings no edges.
 
     Returns:
         The figures, by what they are of.
@@ -57,11 +57,9 @@ def plot_estimate(scan: Scan, estimate: PoseEstimate) -> dict[str, Figure]:
     Raises:
         MissingExtraError: matplotlib is absent.
     """
-    figures = {
-        "fit": plot_fit(scan, estimate),
-        "edges": plot_edge_labels(estimate, scan.name),
-        "residuals": plot_residuals(scan, estimate),
-    }
+    figures = {"fit": plot_fit(scan, estimate), "residuals": plot_residuals(scan, estimate)}
+    if len(estimate.edge_points):
+        figures["edges"] = plot_edge_labels(estimate, scan.name)
     if estimate.status != "failed":
         figures["vertices"] = plot_vertices(estimate, scan.name)
     if estimate.status == "ambiguous" and estimate.ambiguity.T_lidar_target is not None:
@@ -82,8 +80,9 @@ def plot_fit(scan: Scan, estimate: PoseEstimate) -> Figure:
     figure, front, side = _front_and_side(estimate.target)
     points = _near(scan, estimate)
     front.plot(points[:, 1], points[:, 2], ".", color=GREY, ms=3, label="returns")
-    edges = _in_target(estimate, estimate.edge_points.points)
-    front.plot(edges[:, 1], edges[:, 2], ".", color=VERMILLION, ms=6, label="edge points: ends of rings")
+    if len(estimate.edge_points):
+        edges = _in_target(estimate, estimate.edge_points.points)
+        front.plot(edges[:, 1], edges[:, 2], ".", color=VERMILLION, ms=6, label="edge points: ends of rings")
     outline(front, estimate.target.polygon, BLUE, label="fitted template")
     _name_vertices(front, estimate.target)
 
@@ -144,44 +143,13 @@ def plot_residuals(scan: Scan, estimate: PoseEstimate) -> Figure:
     Raises:
         MissingExtraError: matplotlib is absent.
     """
-    figure = new_figure(9.0, 7.0)
-    from matplotlib.ticker import MaxNLocator
-
-    across, depth = (plain(axes) for axes in figure.subplots(2, 1, sharex=True))
-    rings, labels = estimate.edge_points.ring, estimate.labels
-    residual, sigma = 1e3 * estimate.edge_residuals, 1e3 * estimate.edge_sigma
-    for k in range(len(estimate.target)):
-        mine = labels == k
-        offset = 0.5 * (k / max(len(estimate.target) - 1, 1) - 0.5)
-        across.errorbar(rings[mine] + offset, residual[mine], sigma[mine], ls="", marker=marker(k), ms=4, lw=0.9,
-                        color=colour(k), label=f"edge {k}")  # fmt: skip
-    across.axhline(0.0, color=INK, lw=0.8)
-    common = float(np.average(residual, weights=1 / sigma**2))
-    normalised = float(np.sqrt(np.mean(((residual - common) / sigma) ** 2)))
-    across.axhline(common, color=GREY, lw=1.0, ls="--", label="in common")
-    across.set_ylabel("distance from the edge (mm)\noutside: positive")
-    across.set_title(
-        f"edges: {common:+.0f} mm in common, and {normalised:.2f} standard deviations rms about that (bars: ± 1)",
-        fontsize=11,
-    )
-    reach = 1.2 * float(np.abs(residual).max(initial=1.0)) + float(np.median(sigma))
-    across.set_ylim(-reach, reach)  # the bar of an end that tells nothing of its edge may go beyond
-
-    if scan.ring is not None:
-        points = _in_target(estimate, scan.points)
-        bent = 1e3 * points[:, 0]
-        depth.plot(scan.ring, bent, ".", color=PALE, ms=3, label="returns")
-        present = np.unique(scan.ring)
-        means = [float(bent[scan.ring == ring].mean()) for ring in present]
-        depth.plot(present, means, "_", color=BLUE, ms=12, mew=2, label="mean of the ring")
-        depth.set_title(
-            f"plane: {1e3 * estimate.plane_rms:.1f} mm rms; a ring's mean is its range bias "
-            f"({np.std(means):.1f} mm over rings)", fontsize=11,
-        )  # fmt: skip
-    depth.axhline(0.0, color=INK, lw=0.8)
-    depth.set(xlabel="ring, counted from the lowest", ylabel="distance from the plane (mm)\nbehind: positive")
-    depth.xaxis.set_major_locator(MaxNLocator(integer=True))
-    legend_below(figure, across, depth, columns=7)
+    ends = len(estimate.edge_points) > 0
+    figure = new_figure(9.0, 7.0 if ends else 4.5)
+    panels = [plain(axes) for axes in figure.subplots(1 + ends, 1, sharex=True, squeeze=False)[:, 0]]
+    if ends:
+        _edge_residuals(panels[0], estimate)
+    _plane_residuals(panels[-1], scan, estimate)
+    legend_below(figure, *panels, columns=7)
     figure.suptitle(_title(scan, estimate))
     return figure
 
@@ -262,6 +230,51 @@ def plot_runner_up(scan: Scan, estimate: PoseEstimate) -> Figure:
     return figure
 
 
+def _edge_residuals(axes: Axes, estimate: PoseEstimate) -> None:
+    """Distances of the edge points from their edges, and what they have in common."""
+    rings, labels, n = estimate.edge_points.ring, estimate.labels, len(estimate.target)
+    residual, sigma = 1e3 * estimate.edge_residuals, 1e3 * estimate.edge_sigma
+    for k in range(n):
+        mine = labels == k
+        offset = 0.5 * (k / max(n - 1, 1) - 0.5)
+        axes.errorbar(rings[mine] + offset, residual[mine], sigma[mine], ls="", marker=marker(k), ms=4, lw=0.9,
+                      color=colour(k), label=f"edge {k}")  # fmt: skip
+    axes.axhline(0.0, color=INK, lw=0.8)
+    common = float(np.average(residual, weights=1 / sigma**2))
+    normalised = float(np.sqrt(np.mean(((residual - common) / sigma) ** 2)))
+    axes.axhline(common, color=GREY, lw=1.0, ls="--", label="in common")
+    axes.set_ylabel("distance from the edge (mm)\noutside: positive")
+    axes.set_title(
+        f"edges: {common:+.0f} mm in common, and {normalised:.2f} standard deviations rms about that (bars: ± 1)",
+        fontsize=11,
+    )
+    reach = 1.2 * float(np.abs(residual).max(initial=1.0)) + float(np.median(sigma))
+    axes.set_ylim(-reach, reach)  # the bar of an end that tells nothing of its edge may go beyond
+
+
+def _plane_residuals(axes: Axes, scan: Scan, estimate: PoseEstimate) -> None:
+    """Distances of the returns from the plane, over rings, or over elevations where there are none."""
+    from matplotlib.ticker import MaxNLocator
+
+    depth = 1e3 * _in_target(estimate, scan.points)[:, 0]
+    title = f"plane: {1e3 * estimate.plane_rms:.1f} mm rms"
+    if scan.ring is None:
+        x, y, z = scan.points.T
+        axes.plot(np.degrees(np.arctan2(z, np.hypot(x, y))), depth, ".", color=GREY, ms=3, label="returns")
+        axes.set_xlabel("elevation (deg)")
+    else:
+        present = np.unique(scan.ring)
+        means = [float(depth[scan.ring == ring].mean()) for ring in present]
+        axes.plot(scan.ring, depth, ".", color=PALE, ms=3, label="returns")
+        axes.plot(present, means, "_", color=BLUE, ms=12, mew=2, label="mean of the ring")
+        axes.set_xlabel("ring, counted from the lowest")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        title += f"; a ring's mean is its range bias ({np.std(means):.1f} mm over rings)"
+    axes.axhline(0.0, color=INK, lw=0.8)
+    axes.set_ylabel("distance from the plane (mm)\nbehind: positive")
+    axes.set_title(title, fontsize=11)
+
+
 def _in_target(estimate: PoseEstimate, points: Floats) -> Floats:
     T = estimate.T_target_lidar
     return np.asarray(points @ T[:3, :3].T + T[:3, 3])
@@ -308,8 +321,8 @@ def _colon(name: str) -> str:
 
 
 def _title(scan: Scan, estimate: PoseEstimate) -> str:
-    distance = float(np.linalg.norm(estimate.T_lidar_target[:3, 3]))
+    distance, rings = float(np.linalg.norm(estimate.T_lidar_target[:3, 3])), estimate.edge_points.n_rings
     return (
         f"{short(scan.name)}: '{estimate.target.name}' at {distance:.2f} m, {estimate.status}; "
-        f"{estimate.n_returns} returns on {estimate.edge_points.n_rings} rings"
+        f"{estimate.n_returns} returns {f'on {rings} rings' if rings else 'without rings'}"
     )

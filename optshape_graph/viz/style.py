@@ -96,7 +96,7 @@ def short(name: str) -> str:
 
 
 def outline(axes: Axes, polygon: Floats, colour: str = INK, **style: object) -> None:
-    """Draw a closed polygon (n, 2)."""
+    """Draw a closed polygon (n, 2), in the unit of the axes."""
     closed = np.vstack([polygon, polygon[:1]])
     axes.plot(closed[:, 0], closed[:, 1], color=colour, **{"lw": 1.6, **style})  # type: ignore[arg-type]
 
@@ -110,7 +110,12 @@ def ellipse(covariance: Floats, sigmas: float) -> Floats:
 
 
 def magnification(sizes: Sequence[float] | Floats, extent: float) -> float:
-    """Return 1, 2, 5, 10, ...: how many times too large to draw sizes, so that the largest is a tenth of an extent."""
+    """Return 1, 2, 5, 10, ...: how many times too large to draw sizes, so that the largest is a tenth of an extent.
+
+    Args:
+        sizes: (N,) in any unit.
+        extent: of the picture, in that unit.
+    """
     largest = float(np.max(sizes, initial=0.0))
     wanted = 0.1 * extent / largest if largest > 0 else 1.0
     steps = np.outer(10.0 ** np.arange(7), [1.0, 2.0, 5.0]).ravel()

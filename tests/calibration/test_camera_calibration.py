@@ -5,11 +5,13 @@ import numpy as np
 import pytest
 
 from optshape_graph.calibration.camera_calibration import calibrate
+from optshape_graph.calibration.camera_export import as_document
 from optshape_graph.calibration.camera_graph import Unknowns
 from optshape_graph.calibration.images.planar_pose import planar_poses
 from optshape_graph.calibration.sightings import View
 from optshape_graph.errors import EstimationError, UnobservableError
 from optshape_graph.factors.se3 import inverse
+from optshape_graph.io.documents import write_json
 from optshape_graph.target import Target
 from tests.calibration.camera_support import (
     BOARD,
@@ -23,6 +25,7 @@ from tests.calibration.camera_support import (
     synthetic_views,
     transform,
 )
+from tests.io.schema_support import complaint
 
 
 def error(calibration, a="cam", b="lidar", truth=T_CAMERA_LIDAR):
@@ -148,7 +151,7 @@ def test_sensors_without_a_common_target(views):
         calibrate(halves)
 
 
-def test_several_sensors_jointly():
+def test_several_sensors_jointly(tmp_path):
     """Two LiDARs and two cameras; the second camera shares views with the second LiDAR only."""
     rng = np.random.default_rng(7)
     T_front_rear = transform(gtsam.Rot3.RzRyRx(0.05, -0.1, 0.2).matrix(), np.array([0.2, 0.3, -0.1]))
@@ -175,6 +178,8 @@ def test_several_sensors_jointly():
     ):
         x, covariance = error(result, a, b, truth)
         assert x @ np.linalg.solve(covariance, x) < 22.5, (a, b)
+    write_json(tmp_path / "camera.json", as_document(result))
+    assert complaint(tmp_path / "camera.json") is None
 
 
 def test_target_without_symmetry_and_pattern_with_one():

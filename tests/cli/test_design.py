@@ -70,3 +70,29 @@ def test_errors_are_the_packages(tmp_path):
         run("score", "nosuchshape")
     with pytest.raises(InputError, match="area"):
         run("optimise", "--area", -1, "-o", tmp_path / "a.yaml")
+
+
+def test_optimise_draws_what_it_found(tmp_path):
+    plots = tmp_path / "plots"
+    result = run("optimise", "--sides", 3, "--starts", 1, "--rings", 2, 2, "--shortest-edge", 0.2, "--asymmetry", 0,
+                 "--plots", plots, "-o", tmp_path / "mine.yaml")  # fmt: skip
+    assert result.exit_code == 0
+    assert {path.stem for path in plots.glob("*.png")} == {"shape", "cells", "sensitivity", "search", "convexity"}
+    assert len(load_target(tmp_path / "mine.yaml")) == 3
+
+
+def test_study_writes_numbers_and_a_plot_and_goes_on(tmp_path):
+    arguments = ["study", "--shapes", 1, "--distances", "6", "--placements", 2, "-o", tmp_path / "study"]
+    result = run(*arguments)
+    assert result.exit_code == 0
+    assert "rank correlation of the score with the median e_r" in result.output
+    document = json.loads((tmp_path / "study" / "study.json").read_text())
+    assert document["schema"] == "optshape/design-study/1"
+    assert (tmp_path / "study" / "study.png").stat().st_size > 1000
+    assert run(*arguments).output == result.output
+
+
+def test_study_of_distances_that_are_none(tmp_path):
+    result = run("study", "--distances", "near,far", "-o", tmp_path / "study")
+    assert result.exit_code == 2
+    assert "expected numbers with commas between, found 'near,far'" in result.output

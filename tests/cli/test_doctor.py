@@ -1,6 +1,12 @@
 """`optshape doctor`: says what is there, what works, what to do, and fails only where the core does."""
 
+import itertools
 import json
+import re
+import tomllib
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -9,6 +15,9 @@ from optshape_graph.cli import environment
 from optshape_graph.cli.environment import Found
 from optshape_graph.cli.main import cli
 from optshape_graph.evaluation import self_check
+from tests.io.schema_support import complaint
+
+ROOT = Path(__file__).resolve().parents[2]
 
 REQUIRED = {
     "": dict.fromkeys(environment.CORE, ">=1"),
@@ -30,6 +39,7 @@ def doctor(monkeypatch, tmp_path, found=None, missing=None):
     assert result.exception is None, result.exception
     document = json.loads((tmp_path / "out.json").read_text())
     assert document["schema"] == "optshape/doctor/1"
+    assert complaint(tmp_path / "out.json") is None
     checks = {check["name"]: check for check in document["checks"]}
     for check in checks.values():
         assert (check["status"] == "ok") == (check["to_do"] == "")
@@ -89,3 +99,13 @@ def test_the_real_installation_works():
     result = CliRunner().invoke(cli, ["doctor"], standalone_mode=False)
     assert result.exception is None
     assert result.return_value == 0, result.output
+
+
+def test_every_extra_is_known_and_its_packages_go_by_the_modules_that_they_bring():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert set(project) - {"test"} == set(environment.PURPOSES)
+    for requirement in itertools.chain(*project.values()):
+        name = re.match(r"[A-Za-z0-9._-]+", requirement)[0]
+        installed = name != environment.DISTRIBUTION and any(metadata.distributions(name=name))
+        if installed and not name.startswith(("pytest-", "types-", "scipy-stubs")):
+            assert find_spec(environment.MODULES.get(name, name.replace("-", "_"))), name

@@ -91,17 +91,20 @@ def test_wrong_usage(recording):
     assert "--as-built needs the batch" in run(DEMO, "--as-built", 0.01, "--no-batch", code=2)
 
 
+def cloud_of(make, stamped):
+    scan = stamped.value
+    cloud = np.zeros(len(scan), LAYOUTS["velodyne"])
+    cloud["x"], cloud["y"], cloud["z"] = scan.points.T
+    cloud["ring"], cloud["time"] = scan.ring, scan.time
+    return make.cloud(1e3 + stamped.stamp, cloud)
+
+
 def bag(folder, scans, poses, T_body_lidar, static):
     """A bag of a LiDAR on a mast, odometry of the base, and, if it is said, where the LiDAR is."""
     make = maker("mcap")
     items = [("/tf_static", make.tf(make.transform(0.0, T_body_lidar, "base", make.header(0.0).frame_id)))] * static
     items += [("/odom", make.odometry(1e3 + p.stamp, p.value @ np.linalg.inv(T_body_lidar))) for p in poses]
-    for stamped in scans:
-        scan = stamped.value
-        cloud = np.zeros(len(scan), LAYOUTS["velodyne"])
-        cloud["x"], cloud["y"], cloud["z"] = scan.points.T
-        cloud["ring"], cloud["time"] = scan.ring, scan.time
-        items.append(("/points", make.cloud(1e3 + stamped.stamp, cloud)))
+    items += [("/points", cloud_of(make, stamped)) for stamped in scans]
     return write_bag(folder, "mcap", items)
 
 
@@ -120,3 +123,33 @@ def test_odometry_of_the_base_and_a_lidar_on_a_mast(recording, tmp_path, static)
     assert len(found.landmarks) == 2
     for landmark in found.landmarks:
         assert min(np.linalg.norm(landmark.T_world_target[:3, 3] - T[:3, 3]) for T in WHERE) < 0.05
+
+
+def test_bad_scans_in_a_bag_are_skipped_with_a_reason_and_nothing_else_is_lost(recording, tmp_path):
+    scans, poses = drive(4)
+    make = maker("mcap")
+    good = [cloud_of(make, stamped) for stamped in scans]
+    nan = np.zeros(100, LAYOUTS["velodyne"])
+    nan["x"] = nan["y"] = nan["z"] = np.nan
+    ringless = np.zeros(len(scans[0].value), [(axis, "<f4") for axis in "xyz"])
+    ringless["x"], ringless["y"], ringless["z"] = scans[0].value.points.T
+    items = [("/odom", make.odometry(1e3 + p.stamp, p.value)) for p in poses]
+    items += [
+        ("/points", good[0]),
+        ("/points", make.cloud(1e3 + 0.10, np.zeros(0, LAYOUTS["velodyne"]))),
+        ("/points", make.cloud(1e3 + 0.11, nan)),
+        ("/points", make.cloud(1e3 + 0.12, ringless)),
+        ("/points", make.serialize(good[1])[:4000]),
+        ("/points", good[1]),
+        ("/points", good[1]),
+        ("/points", good[0]),
+        ("/points", good[2]),
+        ("/points", good[3]),
+    ]
+    path = write_bag(tmp_path, "mcap", items, {"/points": "sensor_msgs/msg/PointCloud2"})
+    output = run(path, "--targets", recording / "board.yaml", "--json", tmp_path / "map.json")
+    assert "4 scans, 4 keyframes, 8 sightings: 2 landmarks, 4 poses" in output
+    skipped = {line.split(": ")[1] for line in output.splitlines() if "scans skipped" in line}
+    assert skipped == {
+        "empty", "no returns", "ring missing", "truncated or malformed", "stamp duplicated", "stamp goes backward",
+    }  # fmt: skip

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from optshape_graph import EstimationError, InputError, Scan
 from optshape_graph.detection.segments import sweep
@@ -73,3 +75,14 @@ def test_what_cannot_be_used() -> None:
         sweep(Scan(points, ring=np.zeros(3, int), sensor=VLP32C))
     with pytest.raises(EstimationError, match="0 rings"):
         sweep(Scan(np.zeros((0, 3)), ring=np.zeros(0, int), sensor=VLP32C))
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 8.0))
+def test_near_finds_what_a_look_at_every_return_would(seed: int, reach: float) -> None:
+    rng = np.random.default_rng(seed)
+    azimuth = np.append(rng.uniform(-np.pi, np.pi, 300), [np.pi, -np.pi, 0.0])  # the seam, from either side
+    ordered = sweep(ring_scan(rng.uniform(1.0, 8.0, len(azimuth)), azimuth, 5))
+    centre = ordered.points[rng.integers(len(ordered))] + rng.normal(0.0, 0.5, 3)
+    expected = np.flatnonzero(((ordered.points - centre) ** 2).sum(axis=1) < reach**2)
+    np.testing.assert_array_equal(ordered.near(centre, reach), expected)

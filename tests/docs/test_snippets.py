@@ -7,10 +7,13 @@ import re
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 
+import click
 import pytest
 
+from optshape_graph.cli.main import COMMANDS, cli
 from tests.docs.examples import EXAMPLES
 from tests.docs.snippets import PAGES, ROOT, blocks
 
@@ -34,13 +37,44 @@ def test_blocks_run_as_printed(page: Path, tmp_path: Path) -> None:
 def test_what_sets_up_the_system_is_there(page: Path) -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     for line in "\n".join(block.text for block in blocks(page) if block.language == "sh").splitlines():
-        command = line.split("#")[0].split()
+        command = line.split("#")[0].replace("-C optshape_graph", "").split()
         if command[:1] == ["make"]:
             subprocess.run(["make", "--dry-run", *command[1:]], cwd=ROOT, check=True, capture_output=True)
         for names in re.findall(r"(?:optshape-graph|\.)\[(.*?)\]", line):
             assert set(names.split(",")) <= set(extras), line
 
 
+@each_page
+def test_pictures_are_there(page: Path) -> None:
+    for path in re.findall(r"!\[[^\]]+\]\(([^)]+)\)", page.read_text()):
+        assert (page.parent / path).is_file(), path
+
+
 def test_examples_are_used() -> None:
     text = "\n".join(block.text for page in PAGES for block in blocks(page))
     assert [name for name in EXAMPLES if name not in text] == []
+
+
+@cache
+def options() -> set[str]:
+    """All options of all commands."""
+
+    def of(command: click.Command, context: click.Context) -> set[str]:
+        found = {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
+        if isinstance(command, click.Group):
+            for name in command.list_commands(context):
+                inner = command.get_command(context, name)
+                assert inner is not None
+                found |= of(inner, click.Context(inner, parent=context))
+        return found
+
+    return of(cli, click.Context(cli)) | {"--help"}
+
+
+@each_page
+def test_what_pages_name_exists(page: Path) -> None:
+    text = re.sub(r"pip install[^\n`]*", "", page.read_text())
+    assert set(re.findall(r"`optshape ([a-z]+)", text)) <= set(COMMANDS)
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= options()
+    for name in re.findall(r"`(?:notebooks/)?(\d\d_\w+\.ipynb)`", text):
+        assert (ROOT / "notebooks" / name).is_file(), name

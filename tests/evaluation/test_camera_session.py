@@ -18,6 +18,7 @@ from optshape_graph.evaluation.rendering import render_target
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.io import load_sensor, load_session
 from tests.calibration.camera_support import BOARD, PINHOLE, T_CAMERA_LIDAR
+from tests.io.schema_support import complaint
 
 CAMERA = replace(
     PINHOLE, name="front", width=1200, height=900, K=np.array([[800.0, 0, 590], [0, 805.0, 455], [0, 0, 1]])
@@ -28,6 +29,8 @@ def test_the_calibration_of_a_generated_session_is_its_truth(tmp_path):
     path = synthetic_camera_session(tmp_path / "s", BOARD, load_sensor("vlp16"), CAMERA, T_CAMERA_LIDAR, views=7)
     truth = json.loads((tmp_path / "s/truth.json").read_text())
     assert np.allclose(truth["T_camera_lidar"], T_CAMERA_LIDAR)
+    for name in ("truth.json", "session.yaml", "target.yaml", "camera.yaml"):
+        assert complaint(tmp_path / "s" / name) is None
     calibration = calibrate(read_views(load_session(path)))
     assert all(result.used for result in calibration.views)
     T, covariance = calibration.transform("front", calibration.lidars[0])

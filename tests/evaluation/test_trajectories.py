@@ -21,8 +21,10 @@ from optshape_graph.evaluation.trajectories import (
 )
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.trajectories import Trajectory
-from optshape_graph.mapping import Landmark, Map
+from optshape_graph.mapping import Landmark, LandmarkSlam, Map, solve_batch
+from optshape_graph.simulation import ConstantTwist
 from tests.factors.support import TARGET, random_pose, retract, seeds
+from tests.mapping.driving import Twisting, beside, drive, kitti_path
 from tests.mapping.support import at, loop
 
 PATH = loop(length=100.0, n_poses=50).poses
@@ -119,3 +121,29 @@ def test_right_covariances_give_one():
         consistency_of(np.array([]))
     with pytest.raises(InputError, match="as many"):
         absolute_error(true[:3], true[:4])
+
+
+def test_a_real_path_past_targets_in_simulated_scans():
+    """Every second pose of half of KITTI's path that GTSAM ships, the scans taken on the move, poses estimated."""
+    path = kitti_path()[:68:2]
+    driven = drive(path, beside(path, 6), seed=1)
+    slam = driven.feed(LandmarkSlam(confirmations=1))
+    solution = solve_batch(slam.problem())
+    estimated = solution.trajectory("session")
+    true = Trajectory(path, np.arange(len(path), dtype=float))
+    error = absolute_error(*associate(estimated, true))
+    odometry = absolute_error(driven.dead_reckoning(), path)
+    assert len(solution.landmarks) >= 5
+    assert error.translation.rmse < 0.4 * odometry.translation.rmse
+    assert relative_error(estimated.poses, path, 10.0).translation.rmse < 0.1
+    joint = np.array([solution.covariance(poses=[("session", k)]) for k in range(1, len(path), 3)])
+    nees = pose_nees(estimated.poses[1::3], path[1::3], joint)
+    assert nees.mean() / 6 < 2.5  # one drive: neighbouring poses err together
+
+
+@given(seeds)
+def test_the_motion_of_the_drives_is_a_constant_twist(seed):
+    rng = np.random.default_rng(seed)
+    T, twist, times = random_pose(rng), rng.normal(size=6), rng.uniform(-1.0, 1.0, 5)
+    for found, expected in zip(Twisting(T, twist).at(times), ConstantTwist(T, twist).at(times), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-12)

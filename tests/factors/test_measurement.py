@@ -33,6 +33,19 @@ def test_error_is_that_of_the_points_at_any_pose(seed, scale, n):
     assert measurement.n_rows == 2 * n
 
 
+@given(seeds, st.integers(0, 60))
+def test_edge_points_of_one_accuracy(seed, n):
+    rng = np.random.default_rng(seed)
+    points, edge = edge_points(rng, random_pose(rng), n, noise=0.02)
+    normals, offsets, T = TARGET.normals[edge], TARGET.offsets[edge], random_pose(rng)
+    A, r = edge_rows(points, normals, offsets)
+    P, s = plane_rows(points)
+    expected = TemplateMeasurement.from_rows(np.vstack([A / 0.01, P / 0.02]), np.append(r / 0.01, s / 0.02), T)
+    found = TemplateMeasurement.from_edge_points(points, normals, offsets, 0.01, 0.02, T)
+    np.testing.assert_allclose(found.quadratic(), expected.quadratic(), rtol=1e-9, atol=1e-6)
+    assert found.n_rows == expected.n_rows
+
+
 @given(seeds, scales)
 def test_gradient_and_information(seed, scale):
     rng = np.random.default_rng(seed)

@@ -137,3 +137,17 @@ def test_bad_input():
         ring_bias_columns(points, np.ones_like(points), ring, 5, np.eye(4))
     with pytest.raises(InputError, match="12 columns"):
         BiasedMeasurement(np.eye(12), 1, np.eye(4), ())
+
+
+@given(seeds)
+def test_marginalised_in_two_steps_or_in_one_and_substituted(seed):
+    rng = np.random.default_rng(seed)
+    T, H, left, right = (random_pose(rng) for _ in range(4))
+    A, B, r = rows_of(*scan(rng, T), T)
+    biased = BiasedMeasurement.from_rows(A / 0.01, 0.02 * B / 0.01, r / 0.01, T)
+    some = biased.without(["ring 1", "ring 4", "no such ring"])
+    assert some.shared == ("ring 0", "ring 2", "ring 3", "ring 5")
+    assert some.marginal(1.0).error(H) == pytest.approx(biased.marginal(1.0).error(H), rel=1e-8)
+    moved = biased.substituted(left, right)
+    assert moved.marginal(1.0).error(H) == pytest.approx(biased.marginal(1.0).error(left @ H @ right), rel=1e-8)
+    np.testing.assert_allclose(left @ moved.T_target_lidar @ right, T, atol=1e-9)

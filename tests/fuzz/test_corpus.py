@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -66,3 +68,14 @@ def test_some_seed_of_every_form_is_read(name: str, tmp_path: Path) -> None:
             break
         else:
             assert form.name.startswith(("sweep/", "folder/")), problems  # which need other files beside them
+
+
+def test_the_fuzzer_runs(tmp_path: Path) -> None:
+    pytest.importorskip("atheris")
+    command = [sys.executable, "-m", "tests.fuzz", "lzf", "--seconds", "1", "--findings", str(tmp_path / "findings"),
+               "--keep", str(tmp_path / "inputs")]  # fmt: skip
+    child = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[2])
+    assert child.returncode == 0, child.stdout + child.stderr
+    assert "lzf: 0 findings, exit status 0" in child.stdout
+    assert "stat::number_of_executed_units" in child.stdout
+    assert list((tmp_path / "inputs").iterdir())

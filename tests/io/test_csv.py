@@ -48,8 +48,8 @@ def test_missing_values_are_nan(tmp_path: Path) -> None:
         ("", "expected a first line that names the columns, as x,y,z,ring; found ''"),
         ("1,2,3\n4,5,6\n", "expected a first line that names the columns, .*; found '1,2,3'"),
         ("x,y,x\n1,2,3\n", "a column is named twice: x, y, x"),
-        ("x,y,z\n1,2,3\n1,2,three\n", "could not convert string 'three' to float64 at row 1, column 3"),
-        ("x,y,z\n1,2\n", "after line 1: "),
+        ("x,y,z\n1,2,3\n1,2,three\n", "csv:3: could not convert string 'three' to float64 in column 3"),
+        ("x,y,z\n1,2\n", "csv:2: "),
     ],
 )
 def test_files_that_are_refused(tmp_path: Path, text: str, message: str) -> None:

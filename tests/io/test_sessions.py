@@ -239,3 +239,62 @@ def test_files_that_are_refused(folder: Path, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as raised:
         load_session(path)
     assert str(folder) in str(raised.value)
+
+
+# Paths that lead out
+
+
+def elsewhere(tmp_path: Path) -> Path:
+    """A file that no session of `tmp_path/campaign/one` has any business with."""
+    (tmp_path / "private").mkdir()
+    (tmp_path / "private" / "a.pcd").write_text("private")
+    return tmp_path / "private" / "a.pcd"
+
+
+@pytest.fixture
+def nested(tmp_path: Path, folder: Path) -> Path:
+    """The session's folder, two levels down."""
+    inner = tmp_path / "campaign" / "one"
+    inner.mkdir(parents=True)
+    for file in [file for file in folder.iterdir() if file.is_file()]:
+        file.rename(inner / file.name)
+    return inner
+
+
+@pytest.mark.parametrize("key", ["scan: a.pcd", "target: board.yaml", "camera: camera.yaml", "image: a.png"])
+def test_paths_that_climb_out_are_refused_unless_allowed(tmp_path: Path, nested: Path, key: str) -> None:
+    name, file = key.split(": ")
+    (tmp_path / "private").mkdir()
+    (nested / file).rename(tmp_path / "private" / file)
+    path = write(nested, SHORT.replace(key, f"{name}: ../../private/{file}"))
+    with pytest.raises(
+        InputError, match=r"session\.yaml:\d.*leads out of its folder and the one above.*--allow-outside"
+    ):
+        load_session(path)
+    assert load_session(path, allow_outside=True).views
+
+
+def test_links_out_are_refused_unless_allowed(tmp_path: Path, nested: Path) -> None:
+    (nested / "a.pcd").unlink()
+    (nested / "a.pcd").symlink_to(elsewhere(tmp_path))
+    path = write(nested, SHORT)
+    with pytest.raises(InputError, match=r"session\.yaml:7: views\[0\]\.scan: .*a\.pcd: leads out of .*private/a\.pcd"):
+        load_session(path)
+    assert load_session(path, allow_outside=True).views[0].scan == nested / "a.pcd"
+
+
+def test_links_within_the_campaign_and_whole_paths_are_followed(tmp_path: Path, nested: Path) -> None:
+    (nested / "board.yaml").rename(nested.parent / "board.yaml")  # what the sessions of a campaign share
+    (nested / "b.pcd").unlink()
+    (nested / "b.pcd").symlink_to(nested / "a.pcd")
+    text = SHORT.replace("target: board.yaml", "target: ../board.yaml").replace(
+        "scan: a.pcd", f"scan: {elsewhere(tmp_path)}"
+    )
+    assert load_session(write(nested, text)).views[0].scan == tmp_path / "private" / "a.pcd"
+
+
+def test_a_loop_of_links_is_an_error(nested: Path) -> None:
+    (nested / "a.pcd").unlink()
+    (nested / "a.pcd").symlink_to(nested / "a.pcd")
+    with pytest.raises(InputError, match=r"a\.pcd"):
+        load_session(write(nested, SHORT))

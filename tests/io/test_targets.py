@@ -104,7 +104,7 @@ def test_real_targets() -> None:
             SQUARE.replace("target/1", "sensor/1"),
             r"bad\.yaml:1: schema: expected 'optshape/target/1', found 'optshape/sensor/1'",
         ),
-        (SQUARE.replace("target/1", "target/9"), "found 'optshape/target/9'"),
+        (SQUARE.replace("target/1", "target/9"), "'optshape/target/9' is a newer form of target file"),
         (SQUARE.replace("mine", "12"), r"bad\.yaml:2: name: expected a text \(put it in quotes\), found 12"),
         (
             SQUARE.replace("[0, 0.5, 0.5]", "[0.5, 0.5]"),

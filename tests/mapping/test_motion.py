@@ -4,7 +4,10 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import L, X
+from hypothesis import given
+from hypothesis import strategies as st
 
+from optshape_graph import Scan
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.evaluation.metrics import pose_error
 from optshape_graph.factors.se3 import inverse
@@ -19,7 +22,7 @@ from optshape_graph.mapping.motion import (
 )
 from optshape_graph.pose import estimate_pose
 from optshape_graph.simulation import ConstantTwist, NoiseModel, Patch, Scene, pose_from_rpy, simulate
-from tests.factors.support import random_pose, retract
+from tests.factors.support import random_pose, retract, seeds
 
 SENSOR, TARGET = load_sensor("vlp32c"), load_target("paper")
 TWIST = np.array([0.0, 0.0, np.pi / 2, 2.0, 0.0, 0.0])
@@ -56,6 +59,15 @@ def test_deskewing_undoes_the_motion():
     assert TARGET.contains(in_plane[:, 1:], 1e-9).all()
     np.testing.assert_allclose(deskew(straight, -TWIST).points, ideal.points, atol=1e-9)
     np.testing.assert_allclose(twist_between(exp(0.1 * TWIST), 0.1), TWIST, atol=1e-12)
+
+
+@given(seeds, st.sampled_from([0.0, 1e-13, 1e-9, 1e-5, 1e-2, 1.0]))
+def test_deskewing_is_the_exponential_map(seed, rate):
+    rng = np.random.default_rng(seed)
+    points, time, twist = rng.normal(0.0, 20.0, (30, 3)), rng.uniform(-0.1, 0.1, 30), rng.normal(0.0, 2.0, 6)
+    twist[:3] *= rate
+    expected = [(exp(s * twist) @ np.append(p, 1.0))[:3] for s, p in zip(time, points, strict=True)]
+    np.testing.assert_allclose(deskew(Scan(points, time=time), twist).points, expected, atol=1e-11)
 
 
 def test_moving_is_as_good_as_standing_still():

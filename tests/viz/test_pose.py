@@ -107,6 +107,16 @@ def test_a_failed_estimate_has_no_vertices(case):
     assert set(viz.plot_estimate(scan, replace(estimate, status="failed"))) == {"fit", "edges", "residuals"}
 
 
+def test_a_cloud_without_rings_has_no_edges_to_draw(case):
+    scan, _ = case
+    ringless = replace(scan, ring=None)
+    figures = viz.plot_estimate(ringless, estimate_pose(ringless, load_target("paper")))
+    assert set(figures) == {"fit", "residuals", "vertices"}
+    for figure in figures.values():
+        assert_legible(figure)
+    assert "without rings" in figures["fit"].get_suptitle()
+
+
 def test_the_published_method_is_drawn_too(case):
     scan, estimate = case
     for figure in viz.plot_estimate(scan, estimate_pose(scan, estimate.target, "paper")).values():

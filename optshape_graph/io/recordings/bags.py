@@ -12,6 +12,7 @@ from typing import Any
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io.recordings import messages
+from optshape_graph.io.recordings.decompression import bound_rosbags
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.recordings.topics import Topic
 from optshape_graph.sensor import SensorModel
@@ -92,7 +93,11 @@ class Bag:
         return [messages.decode_pose(self.ros, topic.type, data)]
 
     def frame(self, topic: Topic) -> str:
-        """Return the frame that a topic of scans is in, or that a topic of poses is of; empty where it is not said."""
+        """Return the frame that a topic of scans is in, or that a topic of poses is of; empty where it is not said.
+
+        Raises:
+            InputError: the bag cannot be read.
+        """
         if topic.type in messages.TRANSFORMS:
             return topic.name.rsplit(":", 1)[1]
         with closing(self._raw(topic.name, Skipped())) as raw:
@@ -104,7 +109,11 @@ class Bag:
         return ""
 
     def static_transforms(self) -> dict[tuple[str, str], Floats]:
-        """Return T_parent_child (4, 4), by names of parent and child, of all static transforms."""
+        """Return T_parent_child (4, 4), by names of parent and child, of all static transforms.
+
+        Raises:
+            InputError: the bag cannot be read.
+        """
         found: dict[tuple[str, str], Floats] = {}
         for topic in self._recorded:
             if topic.type in messages.TRANSFORMS and topic.name.endswith("tf_static"):
@@ -158,6 +167,7 @@ class Bag:
             from rosbags.rosbag2 import Reader as Reader2
         except ImportError as cause:
             raise missing_extra("rosbags", "ros", cause) from cause
+        bound_rosbags()
         try:
             reader: Any = Reader1(self.path) if self.ros == 1 else Reader2(self.path)
             reader.open()

@@ -29,7 +29,7 @@ def chained(static: Mapping[tuple[str, str], Floats], a: str, b: str) -> Floats 
     """Return T_a_b (4, 4), by way of static transforms T_parent_child, or None where none lead from a to b.
 
     Args:
-        static: by names of parent and child.
+        static: T_parent_child (4, 4) by names of parent and child.
         a: name of a frame.
         b: name of a frame.
     """

@@ -1,0 +1,85 @@
+"""The biases that a LiDAR's rings keep: marginalised once over all scans, not once in each."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from optshape_graph.evaluation.trajectories import pose_nees
+from optshape_graph.factors import fuse_static, inverse_covariance
+from optshape_graph.factors.se3 import inverse
+from optshape_graph.mapping import MappingProblem, Match, Odometry, Sighting, Start, Track, solve_batch
+from optshape_graph.pose import estimate_pose
+from optshape_graph.simulation import NoiseModel, simulate_target
+from tests.factors.support import log, random_pose
+from tests.mapping.driving import PAPER, SENSOR
+from tests.mapping.support import at
+
+NOISE = replace(NoiseModel.of(SENSOR), edge_spread=0.0)
+"""What a partly hit beam returns is another matter, which does not average away either."""
+
+FIXED = 1e-12 * np.eye(6)
+
+
+def estimates(T, n, seed, moved=0.0):
+    """Return poses of a LiDAR, about the origin, and its estimates of a target at T in a scan from each."""
+    rng = np.random.default_rng(seed)
+    bias = NOISE.draw_range_bias(SENSOR.n_rings, rng)
+    poses = [at(*(moved * rng.normal(size=2)), 0.2 * moved * rng.normal(), moved * rng.normal()) for _ in range(n)]
+    scans = (simulate_target(PAPER, SENSOR, inverse(P) @ T, noise=NOISE, rng=rng, range_bias=bias) for P in poses)
+    return np.array(poses), [estimate_pose(scan, PAPER) for scan in scans]
+
+
+def known(poses, found):
+    """Return the problem of a LiDAR whose poses are known exactly."""
+    matches = tuple(Match(k, "a", Sighting.of(e, "a", biases=True), 0) for k, e in enumerate(found))
+    steps = inverse(poses[:-1]) @ poses[1:]
+    odometry = tuple(Odometry(k, k + 1, step, FIXED) for k, step in enumerate(steps))
+    track = Track("one", np.arange(float(len(found))), poses, odometry, matches, Start(poses[0], FIXED))
+    return MappingProblem((track,), {"a": PAPER}, {"a": poses[0] @ found[0].T_lidar_target})
+
+
+def test_one_scan_says_the_same_whether_its_biases_are_marginalised_before_or_after():
+    problem = known(*estimates(at(7.0, 1.0, 0.3, 0.2), 1, 0))
+    plain, biased = (solve_batch(problem, ring_biases=wanted) for wanted in (False, True))
+    # The offset at edges was linearised elsewhere by a little, and a widened measurement is widened as a whole.
+    apart = log(inverse(plain.landmarks["a"]) @ biased.landmarks["a"])
+    assert apart @ np.linalg.solve(plain.covariance(["a"]), apart) < 0.01
+    np.testing.assert_allclose(np.diag(biased.covariance(["a"])), np.diag(plain.covariance(["a"])), rtol=0.05)
+
+
+def test_many_scans_at_rest_are_those_of_fuse_static():
+    poses, found = estimates(at(7.0, 1.0, 0.3, 0.2), 10, 3)
+    solution = solve_batch(known(poses, found), robust=False)
+    shared = [Sighting.of(e, biases=True).biased for e in found]
+    fused = fuse_static(shared, 1.0)
+    H = inverse(solution.landmarks["a"])
+    J = fused.jacobian(H)
+    np.testing.assert_allclose(J.T @ fused.residual(H), 0.0, atol=1e-3 * np.linalg.norm(J))
+    expected = inverse_covariance(H, np.linalg.inv(J.T @ J))
+    np.testing.assert_allclose(solution.covariance(["a"]), expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
+
+
+def test_a_landmark_seen_often_is_no_better_known_than_the_biases_allow():
+    """From poses a hand apart: from one and the same, rings would meet the edges in the same places each time."""
+    nees = {False: [], True: []}
+    for seed in range(12):
+        rng = np.random.default_rng([5, seed])
+        azimuth = rng.uniform(-np.pi, np.pi)
+        T = at(6.0 * np.cos(azimuth), 6.0 * np.sin(azimuth), azimuth + rng.normal(0.0, 0.3), 0.2)
+        problem = known(*estimates(T, 12, seed, moved=0.1))
+        for wanted, values in nees.items():
+            solution = solve_batch(problem, ring_biases=wanted)
+            values.append(float(pose_nees(solution.landmarks["a"][None], T[None], solution.covariance(["a"])[None])[0]))
+    assert np.mean(nees[False]) / 6 > 2.5
+    assert 0.5 < np.mean(nees[True]) / 6 < 1.5  # of chi-square with 72 degrees, 99.9 % are between 0.55 and 1.6
+
+
+def test_sightings_are_moved_and_renamed_with_their_biases():
+    rng = np.random.default_rng(0)
+    _, [found] = estimates(at(7.0, 1.0, 0.3, 0.2), 1, 4)
+    sighting = Sighting.of(found, biases=True)
+    T = random_pose(rng)
+    moved, H = sighting.moved(T), random_pose(rng)
+    assert moved.biased.marginal(1.0).error(H) == pytest.approx(sighting.biased.marginal(1.0).error(H @ T), rel=1e-9)
+    assert Sighting.of(found).biased is None

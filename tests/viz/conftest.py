@@ -1,0 +1,15 @@
+"""A camera calibration, made once."""
+
+import numpy as np
+import pytest
+
+from optshape_graph.calibration.camera_calibration import CameraCalibration, calibrate
+from tests.calibration.camera_support import PINHOLE, synthetic_views
+
+
+@pytest.fixture(scope="session")
+def camera_calibration() -> CameraCalibration:
+    from dataclasses import replace
+
+    views = synthetic_views(6, np.random.default_rng(0), replace(PINHOLE, name="front"))
+    return calibrate(views)
