@@ -208,7 +208,9 @@ def _edge_measurement(problem: Problem, candidates: Candidates, same: Bools) -> 
         one = candidates.posterior.select(slice(k, k + 1))
         geometry, sigma = one.geometry, one.sigma[0]
         boundary = problem.edges.points + one.inset[0][:, None] * problem.edges.outward(one.T_target_lidar[0, 0, :3])
-        A, r = template_rows(boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]])
+        A, r = template_rows(
+            boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]] + geometry.shift[0]
+        )
         offset = geometry.across[0] * problem.noise.COMMON
         whitened = np.column_stack([offset, A, r]) / sigma[:, None]
         shifts = _without_shifts(ring_shifts(problem.edges) * (geometry.along[0] / sigma)[:, None])
