@@ -39,7 +39,7 @@ def edge_margin(sweep: Sweep, estimate: PoseEstimate) -> float:
 def returns_of(sweep: Sweep, estimate: PoseEstimate, margin: float) -> Ints:
     """(N,) rows of the sweep that are a target's returns: in its plane, inside its outline or `margin` outside.
 
-    A ring whose rays nearly all pass through there is none of the target's: what returns on it is the pole of its stand.
+    A ring whose rays nearly all pass through there is none of the target's: what returns on it is its stand's pole.
     """
     rows, yz, behind = _rays_near(sweep, estimate, estimate.target.circumradius + margin)
     band, within = _band(sweep, estimate), estimate.target.contains(yz, margin)
