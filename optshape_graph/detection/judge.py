@@ -138,7 +138,7 @@ def _edged(sweep: Sweep, estimate: PoseEstimate) -> float:
     """Share of ring ends that lie where the outline's are expected: within two standard deviations.
 
     A ring's last return lies up to a step inside the outline, uniformly; how much of a beam must hit shifts all of
-    them by up to half a beam, and each by as much again.
+    them by up to half a beam, the one that suits them best, and each by as much again.
     """
     target, edges, T = estimate.target, estimate.edge_points, estimate.T_target_lidar
     yz = (edges.points @ T[:3, :3].T + T[:3, 3])[:, 1:]
@@ -149,9 +149,9 @@ def _edged(sweep: Sweep, estimate: PoseEstimate) -> float:
     boundary = 0.5 * (last_hit + first_miss)
     beam, floor = sweep.resolution.beam, sweep.resolution.range_noise
     most = beam + floor / distance.mean()
-    shift = float(np.clip(np.median(boundary / distance), -most, most))
+    shifts = np.linspace(-most, most, 11)[:, None] * distance
     variance = (first_miss - last_hit) ** 2 / 12 + (beam * distance) ** 2 / 3 + (0.5 * floor) ** 2
-    return float(np.mean((boundary - shift * distance) ** 2 < 4.0 * variance))
+    return float(((boundary - shifts) ** 2 < 4.0 * variance).mean(axis=1).max())
 
 
 def _rays_near(sweep: Sweep, estimate: PoseEstimate, radius: float) -> tuple[Ints, Floats, Floats]:
