@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import lru_cache
 
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._noise import gaussian
 
@@ -66,7 +67,13 @@ def root_of(covariance: Floats, what: str) -> Floats:
     C = np.asarray(covariance, float)
     if C.shape == (6, 6):
         with suppress(np.linalg.LinAlgError):
-            root = sqrt_information(C)
+            root = _root(C.tobytes())
             if math.isfinite(np.vdot(root, root)):
                 return root
     raise InputError(f"{what} covariance: expected 6 x 6, positive definite; found shape {C.shape}: {C.tolist()}")
+
+
+@lru_cache(maxsize=1)
+def _root(covariance: bytes) -> Floats:
+    """Square root information of a (6, 6) covariance; odometry often has the same one again and again."""
+    return frozen(sqrt_information(np.frombuffer(covariance).reshape(6, 6)))

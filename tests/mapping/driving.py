@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -87,7 +87,6 @@ def drive(
     reach: float = 20.0,
     sigma_m: float = 0.01,
     sigma_deg: float = 0.1,
-    edge_spread: float = 1.0,
     target: Target = PAPER,
 ) -> Drive:
     """Drive a path past targets at one pose a second, and measure each target within reach that is seen from its front.
@@ -101,11 +100,10 @@ def drive(
         reach: metres.
         sigma_m: odometry's noise per square root of a metre, each axis, metres.
         sigma_deg: likewise, deg.
-        edge_spread: of the noise: how far from an outline it is decided which partly hit beams return, in beam radii.
         target: the template of all targets.
     """
     rng = np.random.default_rng([7, seed])
-    noise = replace(NoiseModel.of(SENSOR), edge_spread=edge_spread)
+    noise = NoiseModel.of(SENSOR)
     bias = noise.draw_range_bias(SENSOR.n_rings, rng)
     true = inverse(poses[:-1]) @ poses[1:]
     gone = np.linalg.norm(true[:, :3, 3], axis=1)
