@@ -18,6 +18,9 @@ RIM = 0.4
 """Width of the rim beside a target that is looked at, in parts of the distance from its origin to its outline."""
 
 
+PIERCED_LEAST, PIERCED_SHARE = 6, 3.0
+"""Rays of a ring, and their number against that of its returns, that pass through where a target cannot be then."""
+
 CENTRAL = 1.96
 """Standard deviations about the plane within which 95 % of the returns lie."""
 
@@ -34,10 +37,17 @@ def edge_margin(sweep: Sweep, estimate: PoseEstimate) -> float:
 
 
 def returns_of(sweep: Sweep, estimate: PoseEstimate, margin: float) -> Ints:
-    """(N,) rows of the sweep that are a target's returns: in its plane, inside its outline or `margin` outside."""
+    """(N,) rows of the sweep that are a target's returns: in its plane, inside its outline or `margin` outside.
+
+    A ring whose rays nearly all pass through there is none of the target's: what returns on it is the pole of its stand.
+    """
     rows, yz, behind = _rays_near(sweep, estimate, estimate.target.circumradius + margin)
-    on = np.abs(behind) <= _band(sweep, estimate)
-    return np.asarray(rows[on & estimate.target.contains(yz, margin)])
+    band, within = _band(sweep, estimate), estimate.target.contains(yz, margin)
+    on, through = within & (np.abs(behind) <= band), within & (behind > band)
+    n_rings = len(sweep.elevations)
+    count_on, count_through = (np.bincount(sweep.ring[rows[which]], minlength=n_rings) for which in (on, through))
+    pierced = count_through >= np.maximum(PIERCED_LEAST, PIERCED_SHARE * count_on)
+    return np.asarray(rows[on & ~pierced[sweep.ring[rows]]])
 
 
 def undoubted(sweep: Sweep, estimate: PoseEstimate, rows: Ints) -> Bools:

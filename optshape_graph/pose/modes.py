@@ -11,12 +11,15 @@ from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.pose.estimate import Ambiguity
 from optshape_graph.pose.likelihood import Firings
-from optshape_graph.pose.propagation import Posterior, Problem
+from optshape_graph.pose.propagation import Posterior, Problem, propagate
 from optshape_graph.pose.sampling import SampledMode, sample_mode
 from optshape_graph.target import Target
 
 MOST_MODES = 4
 """Modes that are compared by samples."""
+
+FEW_RINGS = 8
+"""Rings up to which the half turn of the best pose is looked at, should no association have led there."""
 
 COMPETING = 25.0
 """Difference of log likelihoods by association from which on a mode is not in the running."""
@@ -75,7 +78,8 @@ def modes_by_samples(candidates: Candidates, problem: Problem, firings: Firings)
         firings: of the same scan.
     """
     groups = _groups(candidates, problem.target)
-    if len(groups) < 2:
+    few = len(firings.left) <= FEW_RINGS and len(problem.target.symmetries) == 1
+    if len(groups) < 2 and not few:
         return modes_by_association(candidates, problem.target)
     found: list[tuple[SampledMode, Bools]] = []
     for members in groups:
@@ -91,10 +95,22 @@ def modes_by_samples(candidates: Candidates, problem: Problem, firings: Firings)
     found.sort(key=lambda entry: -entry[0].log_evidence)
     best = found[0][1]
     order = np.argsort(~best, kind="stable")
-    margin, rival = np.inf, None
-    if len(found) > 1:
-        margin, rival = found[0][0].log_evidence - found[1][0].log_evidence, found[1][0].T_lidar_target
-    return Modes(candidates.select(order), best[order], Ambiguity(margin, rival))
+    rivals = [mode for mode, _ in found[1:]]
+    if few:
+        turned = _half_turn(candidates.posterior.T_target_lidar[order[0]], problem, firings)
+        rivals += [] if _meet(turned, found[0][0]) else [turned]
+    if not rivals:
+        return modes_by_association(candidates, problem.target)
+    rival = max(rivals, key=lambda mode: mode.log_evidence)
+    ambiguity = Ambiguity(found[0][0].log_evidence - rival.log_evidence, rival.T_lidar_target)
+    return Modes(candidates.select(order), best[order], ambiguity)
+
+
+def _half_turn(T_target_lidar: Floats, problem: Problem, firings: Firings) -> SampledMode:
+    """The mode about a pose turned upside down in its plane: the usual rival, where rings are few."""
+    upside_down = np.diag([1.0, -1.0, -1.0, 1.0]) @ T_target_lidar
+    there = propagate(problem, upside_down[None], relinearisations=4, sweeps=2)
+    return sample_mode(there.T_target_lidar[0], there.covariance[0], problem, firings)
 
 
 def _groups(candidates: Candidates, target: Target) -> list[Bools]:

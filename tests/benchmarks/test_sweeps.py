@@ -83,7 +83,12 @@ def test_partial_illumination(run, noise):
 
 
 def test_consistency(run):
-    """500 jittered scans in each of six cells: NEES / dof and coverage; per axis, allow for the draw (one in 1,000)."""
+    """500 jittered scans in each of six cells: NEES / dof and coverage of the pose within 90 to 98 %.
+
+    Of the axes, the rotation about the normal at 5 m face-on covers more, 98.1 % of 1,500: its standard deviation is
+    a quarter too large there, where beams are wider than a step. (Neither the allowance for lost returns nor that for
+    flatness is why.) The limit for axes lets it pass.
+    """
     rows = run("consistency", SimulationSweep(
         TARGET, load_sensor("vlp32c"), ("global",), (5.0, 10.0, 20.0), noise=("sensor",), draws=500,
     ))  # fmt: skip

@@ -154,3 +154,15 @@ def test_bad_requests() -> None:
         detect_targets(Scan(scan.points), [PAPER])
     empty = scan.select(np.zeros(len(scan), bool))
     assert detect_targets(empty, [PAPER]).found == ()
+
+
+@pytest.mark.parametrize("target", [SQUARE, TRIANGLE, load_target("optimal5")], ids=lambda target: target.name)
+def test_on_a_stand_whose_pole_is_in_the_plane(target: Target) -> None:
+    """A pole below a level edge, as near to the plane as the noise, gives no ring to the target."""
+    for seed in range(4):
+        T = pose(6.0 + seed, 0.4 * seed - 0.6, 0.0, 0, 0, 15 - 10 * seed)
+        pole = Box(np.array([0.05, 0.05, 1.8]), pose(*(T[:3, 3] + 0.05 * T[:3, 0] - [0, 0, 0.9])))
+        found = only(detect_targets(scan_of(VLP32C, [(target, T)], pole, seed=seed).scan, [target]))
+        assert found.status == "ok"
+        sd = float(np.sqrt(found.estimate.covariance[3:, 3:].trace()))
+        assert error_mm(found, T) < max(4e3 * sd, 10), seed
