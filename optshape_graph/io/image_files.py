@@ -96,8 +96,8 @@ def _png_size(data: bytes) -> tuple[int, int]:
     while kind != b"IEND":
         length, kind = struct.unpack_from(">I4s", data, at)
         at += 12 + length
-        if at > len(data):
-            raise IndexError("a chunk ends beyond the file")
+        if at > len(data) or (kind == b"IEND" and length):
+            raise IndexError("a chunk ends beyond the file, or the last one is not empty")
     width, height = struct.unpack_from(">II", data, 16)
     return width, height
 
