@@ -87,6 +87,11 @@ class EdgePoints:
         return np.asarray(0.5 * (self.lower + self.upper))
 
     @property
+    def noisy(self) -> bool:
+        """Whether azimuths have noise."""
+        return bool((self.scatter > 0).any() or (self.shift > 0).any())
+
+    @property
     def n_rings(self) -> int:
         """Number of rings that hit the target."""
         return len(self) // 2

@@ -18,6 +18,9 @@ from optshape_graph.errors import InputError
 LARGEST_EXTENT_M = 50.0
 """A target wider than this is taken for one given in millimetres."""
 
+MOST_VERTICES = 1000
+"""More make no target that anybody would cut, and its symmetries cost their square."""
+
 SYMMETRY_TOLERANCE = 5e-3
 """Vertex mismatch, relative to the circumradius, under which a rotation counts as a symmetry."""
 
@@ -67,8 +70,8 @@ class Target:
         tags: the tags printed on it, if any.
 
     Raises:
-        InputError: fewer than three vertices, not finite, not planar, not centred, not strictly convex,
-            clockwise, or of a size that no target in metres has.
+        InputError: fewer than three vertices or more than `MOST_VERTICES`, not finite, not planar, not centred, not
+            strictly convex, clockwise, or of a size that no target in metres has.
     """
 
     vertices: Floats
@@ -202,6 +205,8 @@ def _check_vertices(vertices: Floats, name: str) -> None:
         raise fail(f"expected vertices as n x 3 (x, y, z), found shape {vertices.shape}")
     if len(vertices) < 3:
         raise fail(f"{len(vertices)} vertices do not close a polygon; at least 3 are expected")
+    if len(vertices) > MOST_VERTICES:
+        raise fail(f"{len(vertices)} vertices; expected at most {MOST_VERTICES}")
     if not np.isfinite(vertices).all():
         raise fail("a vertex is not a finite number")
     extent = float(np.ptp(vertices, axis=0).max())

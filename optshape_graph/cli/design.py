@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from optshape_graph.design.judgement import Judgement
 
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -96,12 +94,13 @@ def optimise(
     _show([judgement])
     if plots is not None:
         from optshape_graph.viz import design as viz
+        from optshape_graph.viz.style import save_figure
 
-        _save(viz.plot_comparison([judgement]), plots / "shape.png")
-        _save(viz.plot_cells(target, lit), plots / "cells.png")
-        _save(viz.plot_sensitivity(target, lit), plots / "sensitivity.png")
-        _save(viz.plot_search(found), plots / "search.png")
-        _save(viz.plot_convexity(), plots / "convexity.png")
+        save_figure(viz.plot_comparison([judgement]), plots / "shape.png")
+        save_figure(viz.plot_cells(target, lit), plots / "cells.png")
+        save_figure(viz.plot_sensitivity(target, lit), plots / "sensitivity.png")
+        save_figure(viz.plot_search(found), plots / "search.png")
+        save_figure(viz.plot_convexity(), plots / "convexity.png")
 
 
 @command.command()
@@ -135,8 +134,9 @@ def score(shapes: tuple[str, ...], sensor: str, distance: float, plot: Path | No
         write_json(output, {"schema": "optshape/design-scores/1", "sensor": model.name, "shapes": rows})
     if plot is not None:
         from optshape_graph.viz.design import plot_comparison
+        from optshape_graph.viz.style import save_figure
 
-        _save(plot_comparison(judgements), plot)
+        save_figure(plot_comparison(judgements), plot)
 
 
 @command.command()
@@ -185,6 +185,7 @@ def study(shapes: int, sensor: str, distances: str, placements: int, seed: int, 
     from optshape_graph.io.sensors import load_sensor
     from optshape_graph.io.targets import load_target
     from optshape_graph.viz.design import plot_study
+    from optshape_graph.viz.style import save_figure
 
     try:
         metres = [float(text) for text in distances.split(",")]
@@ -201,7 +202,7 @@ def study(shapes: int, sensor: str, distances: str, placements: int, seed: int, 
         click.echo(f"rank correlation of the {text} with the median e_r: {result.rho:+.2f} (p = {result.p_value:.1g})")
     write_json(output / "study.json", {"schema": "optshape/design-study/1", **found.summary()})
     click.echo(f"wrote {output / 'study.json'}")
-    _save(plot_study(found), output / "study.png")
+    save_figure(plot_study(found), output / "study.png")
 
 
 def _show(judgements: list[Judgement]) -> None:
@@ -260,15 +261,3 @@ def _row(judgement: Judgement) -> dict[str, Any]:
 
 def _number(value: float | None, unit: float, digits: int) -> str:
     return "∞" if value is None else f"{value * unit:.{digits}f}"
-
-
-def _save(figure: Figure, path: Path) -> None:
-    import io
-
-    from optshape_graph.io.documents import write_atomically
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=path.suffix.lstrip(".") or "png", dpi=120)
-    write_atomically(path, buffer.getvalue())
-    click.echo(f"wrote {path}")

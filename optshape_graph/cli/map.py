@@ -274,6 +274,13 @@ def _say(result: Map, slam: LandmarkSlam, progress: Progress, messages: Any) -> 
         x, y, z = landmark.T_world_target[:3, 3]
         sd = landmark.covariance[3:, 3:].trace() ** 0.5
         click.echo(f"  {landmark.id}: ({x:.3f}, {y:.3f}, {z:.3f}) m +- {sd:.3f}, {landmark.observations} observations")
-    click.echo("  " + ", ".join(f"{count} {what}" for what, count in slam.counts.items()))
+    if slam.counts:
+        click.echo("  " + ", ".join(f"{count} {what}" for what, count in slam.counts.items()))
     for reason, count in (*progress.skipped.items(), *messages.items()):
         click.echo(f"  {count} scans skipped: {reason}")
+    if not result.landmarks and progress.keyframes:
+        click.echo(
+            "  no target was seen: `optshape detect` on one of the scans says what each surface lacks"
+            if not progress.sightings
+            else "  sightings did not agree on a landmark: is the odometry the LiDAR's (--mounting), its noise right?"
+        )

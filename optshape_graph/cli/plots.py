@@ -40,10 +40,10 @@ class Pictures:
         self.paths: list[Path] = []
 
     def save(self, name: str, figure: Figure) -> None:
-        """Write a figure as NAME.png."""
-        from optshape_graph.viz.style import save_figure
+        """Write a figure as NAME.png, whatever characters the name has."""
+        from optshape_graph.viz.style import file_name, save_figure
 
-        self.paths.append(save_figure(figure, self.folder / f"{name}.png"))
+        self.paths.append(save_figure(figure, self.folder / f"{file_name(name)}.png"))
 
     def tell(self) -> None:
         """Name the files."""

@@ -146,7 +146,7 @@ def _document(start: Start, problem: Problem, seed: int) -> dict[str, Any]:
 
 def _read(path: Path, problem: Problem, seed: int) -> Start:
     document = read_document(path, KIND).fields(["schema", "seed", "problem", "start"])
-    if (document["seed"].value, document["problem"].value) != (seed, _plain(asdict(problem))):
+    if (document["seed"].integer(), document["problem"].value) != (seed, _plain(asdict(problem))):
         raise InputError(f"{path}: belongs to a search for another problem or with another seed; use another folder")
     start = document["start"].fields([field.name for field in fields(Start)])
     return Start(

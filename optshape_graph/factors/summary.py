@@ -31,7 +31,7 @@ FARTHEST_RAD = 1.0
 linearisation reaches no further."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Summary:
     """A measured pose with its square root information.
 

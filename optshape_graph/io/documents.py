@@ -10,6 +10,7 @@ import difflib
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -243,8 +244,8 @@ def read_json(path: str | Path) -> Node:
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         mapping = dict(pairs)
         if len(mapping) < len(pairs):
-            names = [name for name, _ in pairs]
-            raise InputError(f"{path}: the key '{next(n for n in names if names.count(n) > 1)}' is given twice")
+            ((name, _),) = Counter(name for name, _ in pairs).most_common(1)
+            raise InputError(f"{path}: the key '{name}' is given twice")
         return mapping
 
     def refuse(name: str) -> NoReturn:

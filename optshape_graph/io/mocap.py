@@ -6,6 +6,7 @@ Each is read with its own units, rate and way of writing a gap, into the same th
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,7 +57,7 @@ class MocapRecording:
             )
         if not len(times) or not self.markers:
             raise InputError(f"{self.name}: {len(times)} frames of {len(self.markers)} markers: nothing was captured")
-        if repeated := {marker for marker in self.markers if self.markers.count(marker) > 1}:
+        if repeated := [marker for marker, times in Counter(self.markers).items() if times > 1]:
             raise InputError(f"{self.name}: several markers are called {min(repeated)!r}")
         if not (np.isfinite(self.rate) and self.rate > 0):
             raise InputError(f"{self.name}: rate {self.rate} Hz is not a positive number")
@@ -81,9 +82,10 @@ class MocapRecording:
         Raises:
             InputError: one of them is not there.
         """
-        if missing := [marker for marker in markers if marker not in self.markers]:
+        column = {marker: k for k, marker in enumerate(self.markers)}
+        if missing := [marker for marker in markers if marker not in column]:
             raise InputError(f"{self.name}: no marker {missing[0]!r}; it has {', '.join(self.markers)}")
-        columns = [self.markers.index(marker) for marker in markers]
+        columns = [column[marker] for marker in markers]
         return MocapRecording(self.times, tuple(markers), self.positions[:, columns], self.rate, self.name)
 
     def at(self, times: Floats) -> Floats:

@@ -33,7 +33,7 @@ def gate(dof: int) -> float:
     return float(chi2.ppf(CONFIDENCE, dof))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Pairing:
     """A sighting taken for a landmark, in one of its hypotheses.
 

@@ -29,7 +29,7 @@ AT_THE_ORIGIN = Start(np.eye(4), 1e-8 * np.eye(6))
 NEAREST = 12
 """How many landmarks a sighting without a name is compared with at most: those nearest to where it was seen."""
 
-LOOK_EVERY = 10
+LOOK_EVERY = 20
 """Every how many poses stale summaries are looked for."""
 
 SINGULAR = "it makes the graph singular"
@@ -58,7 +58,9 @@ class LandmarkSlam:
     """SLAM with target landmarks, for a system to embed: one pose after another, each with what was seen from it.
 
     Only what was checked enters the graph: a sighting that no landmark explains waits outside it until others agree,
-    one that contradicts the map is rejected, and what makes GTSAM raise is taken out again.
+    one that contradicts the map is rejected, and what makes GTSAM raise is taken out again. The biases that a LiDAR's
+    rings keep are taken for each sighting's own here, so that landmarks seen often seem better known than they are:
+    `solve_batch` of `problem` solves for them.
 
     Args:
         known: landmarks that are known: surveyed, or a map made before, which this run extends.

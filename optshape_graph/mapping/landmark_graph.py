@@ -31,7 +31,7 @@ six dimensions is nearer."""
 STALE_M = 5e-4
 """A summary is made again when the target has turned so far since that the second-order term moves a return by this."""
 
-CHECKED_NEW, CHECKED_OLD = 20, 40
+CHECKED_NEW, CHECKED_OLD = 40, 40
 """How many summaries are looked at at a time: of the newest, and of the others in turn."""
 
 SETTLING = 10
@@ -55,7 +55,7 @@ class Known:
     surveyed: bool = False
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class _Held:
     """A match in the graph: where it was summarised, and the factor's handle."""
 

@@ -114,6 +114,7 @@ def map_document(result: Map) -> dict[str, Any]:
     Raises:
         InputError: a trajectory without stamps.
     """
+    only = next(iter(result.trajectories)) if len(result.trajectories) == 1 else ""
     joint = {} if result.joint_covariance is None else {"joint_covariance": result.joint_covariance}
     return {
         "schema": SCHEMA,
@@ -130,8 +131,9 @@ def map_document(result: Map) -> dict[str, Any]:
             for landmark in result.landmarks
         ],
         **joint,
+        **({"session": only} if only else {}),
         "trajectory": [
-            {"session": name, "stamp": stamp, "T_world_lidar": T}
+            {**({} if only else {"session": name}), "stamp": stamp, "T_world_lidar": T}
             for name, trajectory in result.trajectories.items()
             for stamp, T in zip(_stamps(trajectory), trajectory.poses, strict=True)
         ],
@@ -145,16 +147,17 @@ def load_map(path: str | Path) -> Map:
         InputError: not readable, or not of the schema; the message names file and key.
     """
     root = read_document(path, "map")
-    fields = root.fields(["schema", "targets", "landmarks", "trajectory"], ["joint_covariance", "report"])
+    fields = root.fields(["schema", "targets", "landmarks", "trajectory"], ["joint_covariance", "session", "report"])
     templates = {
         name: node.fields(["vertices"])["vertices"].numbers(-1, 3) for name, node in fields["targets"].entries().items()
     }
     landmarks = tuple(_landmark(node, templates) for node in fields["landmarks"].items())
+    only = fields["session"].text() if "session" in fields else ""
     joint = None
     if "joint_covariance" in fields:
         joint = fields["joint_covariance"].numbers(6 * len(landmarks), 6 * len(landmarks))
     try:
-        return Map(landmarks, joint if landmarks else None, _trajectories(fields["trajectory"]))
+        return Map(landmarks, joint if landmarks else None, _trajectories(fields["trajectory"], only))
     except InputError as error:
         root.fail(str(error))
 
@@ -208,12 +211,13 @@ def _landmark(node: Node, templates: Mapping[str, Floats]) -> Landmark:
         node.fail(str(error))
 
 
-def _trajectories(node: Node) -> dict[str, Trajectory]:
+def _trajectories(node: Node, only: str) -> dict[str, Trajectory]:
+    """Trajectories by their session; of poses that name none, `only`."""
     stamps: dict[str, list[float]] = {}
     poses: dict[str, list[Floats]] = {}
     for entry in node.items():
         fields = entry.fields(["stamp", "T_world_lidar"], ["session"])
-        name = fields["session"].text() if "session" in fields else ""
+        name = fields["session"].text() if "session" in fields else only
         stamps.setdefault(name, []).append(fields["stamp"].number())
         poses.setdefault(name, []).append(rigid(fields["T_world_lidar"].numbers(4, 4), entry.where))
     return {name: Trajectory(np.array(poses[name]), np.array(stamps[name]), name or "trajectory") for name in poses}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 
@@ -66,6 +67,6 @@ def root_of(covariance: Floats, what: str) -> Floats:
     if C.shape == (6, 6):
         with suppress(np.linalg.LinAlgError):
             root = sqrt_information(C)
-            if np.isfinite(root).all():
+            if math.isfinite(np.vdot(root, root)):
                 return root
     raise InputError(f"{what} covariance: expected 6 x 6, positive definite; found shape {C.shape}: {C.tolist()}")

@@ -56,7 +56,7 @@ class Sighting:
         landmark: str | None = None,
         shape: ShapeMeasurement | None = None,
         *,
-        biases: bool = False,
+        biases: bool = True,
     ) -> Sighting:
         """Return the sighting that a pose estimate makes; of an ambiguous one, both of its poses.
 
@@ -66,7 +66,7 @@ class Sighting:
             estimate: of the pose.
             landmark: which it is, where that is known.
             shape: of the same returns.
-            biases: whether to keep `biased`, so that a batch can tell what all scans have in common.
+            biases: whether to keep `biased`, so that a batch can tell what all scans have in common: some kilobytes.
 
         Raises:
             InputError: the estimate failed.

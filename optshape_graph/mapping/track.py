@@ -39,7 +39,7 @@ class Odometry:
         object.__setattr__(self, "sqrt_information", root_of(self.covariance, "odometry"))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Match:
     """A sighting taken for a landmark.
 

@@ -76,8 +76,8 @@ def fit_plane(points: Floats, ring: Ints | None) -> ReturnsPlane:
 NEAR, FAR = 5, 4
 """How many of the best poses are kept that differ a little, and how many beside them that differ much."""
 
-TURNS = 24
-"""Directions in which `turned_poses` starts."""
+FAR_IF_NOISY = 8
+"""The latter where ring ends are noisy, so that their order is."""
 
 
 def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> Floats:
@@ -125,24 +125,9 @@ def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> F
     turned = np.abs(np.angle(np.exp(1j * (angle[:, None] - angle[None]))))
     moved = np.linalg.norm(t[:, None] - t[None], axis=-1) / target.circumradius
     near = _first_different((turned < np.radians(1.5)) & (moved < 0.01), NEAR)
-    far = _first_different((turned < np.radians(15.0)) & (moved < 0.3), FAR)
+    far = _first_different((turned < np.radians(15.0)) & (moved < 0.3), FAR_IF_NOISY if edges.noisy else FAR)
     chosen = np.union1d(near, far)
     return in_plane_poses(angle[chosen], t[chosen], plane)
-
-
-def turned_poses(points: Floats, plane: ReturnsPlane) -> Floats:
-    """Return T_target_lidar (C, 4, 4) with the target's origin amid the returns, turned every way in their plane.
-
-    Few ends of rings, which err, may belong to an association that fits none of the best ones' lines at first.
-
-    Args:
-        points: (N, 3) returns, metres, LiDAR frame.
-        plane: of the returns.
-    """
-    angle = 2 * np.pi * np.arange(TURNS) / TURNS
-    y, z = plane.axes[1:] @ (points.mean(axis=0) - plane.centre)
-    c, s = np.cos(angle), np.sin(angle)
-    return in_plane_poses(angle, -np.column_stack([c * y - s * z, s * y + c * z]), plane)
 
 
 def _solve_2x2(A: Floats, B: Floats) -> Floats:

@@ -14,7 +14,7 @@ from optshape_graph.factors.measurement import TemplateMeasurement, template_row
 from optshape_graph.factors.se3 import inverse, inverse_covariance
 from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.pose.angles import level_rings
-from optshape_graph.pose.association import enumerate_poses, fit_plane, turned_poses
+from optshape_graph.pose.association import enumerate_poses, fit_plane
 from optshape_graph.pose.estimate import (
     AMBIGUITY_MARGIN,
     Ambiguity,
@@ -66,12 +66,10 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     bounded = with_top_and_bottom(edges, scan) if complete and not angular_noise else edges
     problem = Problem(bounded, target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor))
     starts = enumerate_poses(edges, plane, target)
-    # The likelihood itself is known of beams without width; a beam's own scatter is in the posteriors alone.
-    exact = problem.noise.ideal and not edges.scatter.any()
-    turned = turned_poses(scan.points, plane) if exact else np.zeros((0, 4, 4))
-    candidates = _score(problem, _upright(starts, target), _upright(turned, target), scan, edges)
+    candidates = _score(problem, _upright(starts, target), scan, edges)
 
-    if exact:
+    # The likelihood itself is known of beams without width; a beam's own scatter is in the posteriors alone.
+    if problem.noise.ideal and not edges.scatter.any():
         modes = modes_by_samples(candidates, problem, Firings.of(edges, scan, problem.noise.lost))
     else:
         modes = modes_by_association(candidates, target)
@@ -153,16 +151,12 @@ def _upright(T: Floats, target: Target) -> Floats:
     return result
 
 
-def _score(problem: Problem, starts: Floats, turned: Floats, scan: Scan, ends: EdgePoints) -> Candidates:
+def _score(problem: Problem, starts: Floats, scan: Scan, ends: EdgePoints) -> Candidates:
     """Posterior and log likelihood of each start, best first, each association once.
 
-    Starts that are merely `turned` have some way to go. A first round tells the starts apart. A second works out the
-    best and the associations next to it.
+    A first round tells the starts apart. A second works out the best and the associations next to it.
     """
-    posterior = propagate(problem, starts, relinearisations=1, sweeps=2)
-    if len(turned):
-        posterior = concatenate(posterior, propagate(problem, turned, relinearisations=4, sweeps=2))
-    first = _rank(problem, posterior, scan, ends)
+    first = _rank(problem, propagate(problem, starts, relinearisations=1, sweeps=2), scan, ends)
     best = first.posterior.select(slice(0, 1))
     labels = np.vstack([best.geometry.labels, alternative_labels(problem, best, _ALTERNATIVES)])
     T = np.repeat(best.T_target_lidar, len(labels), axis=0)
@@ -214,7 +208,9 @@ def _edge_measurement(problem: Problem, candidates: Candidates, same: Bools) -> 
         one = candidates.posterior.select(slice(k, k + 1))
         geometry, sigma = one.geometry, one.sigma[0]
         boundary = problem.edges.points + one.inset[0][:, None] * problem.edges.outward(one.T_target_lidar[0, 0, :3])
-        A, r = template_rows(boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]])
+        A, r = template_rows(
+            boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]] + geometry.shift[0]
+        )
         offset = geometry.across[0] * problem.noise.COMMON
         whitened = np.column_stack([offset, A, r]) / sigma[:, None]
         shifts = _without_shifts(ring_shifts(problem.edges) * (geometry.along[0] / sigma)[:, None])

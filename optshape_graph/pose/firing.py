@@ -17,8 +17,8 @@ from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import EdgePoints, extreme_width, relative_azimuth
 from optshape_graph.scan import Scan
 
-GAP_EVIDENCE = 5.0
-"""Gain in log likelihood from which on a firing within a ring is taken to have returned nothing: one in 150 does."""
+GAP_EVIDENCE = 7.0
+"""Gain in log likelihood from which on a firing within a ring is taken to have returned nothing: one in 1,000 does."""
 
 IRREGULAR = 4.0
 """Standard deviations by which azimuths may scatter more about the grid than elevations do, before there is none."""
@@ -95,8 +95,9 @@ def _slots(steps: Floats, jitter: float) -> Floats:
 def _extremes(edges: EdgePoints, revolutions: Floats | Ints, returns: Ints, jitter: float) -> EdgePoints:
     """Set the boundary where the outermost of several noisy azimuths says it is: before it, and scattering."""
     reach = np.minimum(returns, int(np.ceil(6 * jitter)) + 2)
-    moments = {int(n): _overshoot(jitter, int(n)) for n in np.unique(reach)}
-    mean, variance = np.array([moments[int(n)] for n in reach]).T
+    pairs = list(zip(reach.tolist(), np.asarray(revolutions, dtype=int).tolist(), strict=True))
+    moments = {pair: _overshoot(jitter, *pair) for pair in set(pairs)}
+    mean, variance = np.array([moments[pair] for pair in pairs]).T
     width = np.minimum(extreme_width(np.asarray(revolutions, dtype=float)), np.sqrt(12 * variance))
     scatter = np.sqrt(np.maximum(variance - width**2 / 12, 0.0))
     step = edges.azimuth_step
@@ -108,15 +109,16 @@ def _extremes(edges: EdgePoints, revolutions: Floats | Ints, returns: Ints, jitt
     )
 
 
-def _overshoot(jitter: float, returns: int) -> tuple[float, float]:
+def _overshoot(jitter: float, returns: int, revolutions: int) -> tuple[float, float]:
     """Mean and variance of how far the outermost of some returns lies beyond the boundary, in azimuth steps.
 
-    The outermost of -(k + U) + jitter Z_k, k = 0 ... returns - 1, U uniform on a step and common, Z_k normal.
+    The outermost of -(k + U) + jitter Z_k, k = 0 ... returns - 1, U uniform on a step and common to a revolution, Z_k
+    normal.
     """
     phase = (np.arange(16) + 0.5) / 16
     x = np.linspace(-1.0 - 5 * jitter, 5 * jitter, 400)
     k = np.arange(returns)
-    inside = ndtr((x[:, None, None] + k + phase[:, None]) / jitter).prod(axis=-1).mean(axis=-1)
+    inside = ndtr((x[:, None, None] + k + phase[:, None]) / jitter).prod(axis=-1).mean(axis=-1) ** revolutions
     density = np.diff(inside)
     middle = 0.5 * (x[1:] + x[:-1])
     mean = float(density @ middle / density.sum())

@@ -26,7 +26,8 @@ from optshape_graph.pose.noise import FLATNESS, LOST_SPAN
 from optshape_graph.pose.propagation import Problem
 from optshape_graph.scan import Scan
 
-_FINEST = 48  # places of the grid within a step that are averaged over at most
+_PLACES = 24  # of the grid within a step that are averaged over
+_SEEN = 0.05  # a ring's place counts as known below this, in steps
 _REACH = 3.5  # standard deviations of a ring's place that count
 
 
@@ -93,7 +94,7 @@ class Firings:
         rings = self._own_grids(beyond_left, beyond_right)
         own = rings + self._missed(np.clip(1.0 - (empty_left - empty_right), 0.0, 1.0)).sum(axis=-1)
         offset = self.empty_offset[met]
-        if self.shift.min() > 1.5 / _FINEST:
+        if self.shift.min() > _SEEN:
             common = self._common_grid(beyond_left, beyond_right, empty_left, empty_right, offset)
             return np.asarray(np.logaddexp(own, common))
         place = self._seen_place()
@@ -141,9 +142,8 @@ class Firings:
         self, beyond_left: Floats, beyond_right: Floats, empty_left: Floats, empty_right: Floats, offset: Floats
     ) -> Floats:
         """Logarithm (S,) of the likelihood of all rings, averaged over the place of one grid."""
-        places = int(np.ceil(1.5 / self.shift.min()))
-        place = (np.arange(places) + 0.5) / places
-        log = np.zeros((len(beyond_left), places))
+        place = (np.arange(_PLACES) + 0.5) / _PLACES
+        log = np.zeros((len(beyond_left), _PLACES))
         for k, (left, shift) in enumerate(zip(self.left, self.shift, strict=True)):
             whole = np.arange(-np.ceil(_REACH * shift), np.ceil(_REACH * shift) + 1)
             # How far left of its likeliest place the ring's last firing is, if the grid is at a place.
@@ -154,7 +154,7 @@ class Firings:
             log += np.log((at_left * at_right * density).sum(axis=1) + self._floor)
         fired = _fired(empty_left[..., None], empty_right[..., None], place + offset[:, None])
         log += self._missed(~fired).sum(axis=1)
-        return np.asarray(logsumexp(log, axis=1) - np.log(places))
+        return np.asarray(logsumexp(log, axis=1) - np.log(_PLACES))
 
     def _end_density(self, beyond: Floats) -> Floats:
         """Probability density, per step, of how far beyond a ring's last firing its chord ends."""

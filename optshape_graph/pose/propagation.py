@@ -22,7 +22,7 @@ from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.se3 import vec, vec_derivative
 from optshape_graph.pose.intervals import mixture_moments
-from optshape_graph.pose.noise import LOST_RETURNS, LOST_SPAN, EdgeNoise
+from optshape_graph.pose.noise import LOST_RETURNS, LOST_SPAN, EdgeNoise, outermost_return
 from optshape_graph.target import Target
 
 _WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])
@@ -61,9 +61,11 @@ class EdgeGeometry:
         labels: (C, M) edge of each edge point.
         direction: (C, M, 3) vector m of each row, target frame: m . (R p + t) - c is the distance from the edge, in
             the plane, of the point where the ray of p meets the plane.
-        residual: (C, M) that distance, metres, negative inside.
+        residual: (C, M) that distance, metres, negative inside, `shift` taken off.
         along: (C, M) how fast it grows along the ring, outwards, metres per radian.
         across: (C, M) how fast it grows with the offset across the edge, metres per beam width.
+        shift: (C, M) how much further out the last return lies than a single ray would, metres.
+        scatter: (C, M) its own scatter across the edge against that of a single ray.
     """
 
     labels: Ints
@@ -71,6 +73,8 @@ class EdgeGeometry:
     residual: Floats
     along: Floats
     across: Floats
+    shift: Floats
+    scatter: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,12 +137,18 @@ def edge_geometry(problem: Problem, T: Floats, labels: Ints | None = None) -> Ed
     n = target.normals[labels]
     mu = (n * slope).sum(axis=-1)
     direction = np.concatenate([-mu[..., None], n], axis=-1)
+    along = (n * u).sum(axis=-1)
+    across = problem.noise.width(np.linalg.norm(p, axis=1)) * np.sqrt(1.0 + mu**2)
+    shift, scatter = outermost_return(np.abs(along) * edges.width / across)
+    shift = shift * across
     return EdgeGeometry(
         labels=labels,
         direction=direction,
-        residual=(direction * y).sum(axis=-1) - target.offsets[labels],
-        along=(n * u).sum(axis=-1),
-        across=problem.noise.width(np.linalg.norm(p, axis=1)) * np.sqrt(1.0 + mu**2),
+        residual=(direction * y).sum(axis=-1) - target.offsets[labels] - shift,
+        along=along,
+        across=across,
+        shift=shift,
+        scatter=scatter,
     )
 
 
@@ -188,7 +198,7 @@ def propagate(
 def own_variance(problem: Problem, geometry: EdgeGeometry) -> Floats:
     """(C, M) variance across the edge that is each edge point's own, quantisation apart, m2."""
     along = problem.edges.scatter * geometry.along
-    return np.asarray(problem.noise.floor**2 + (problem.noise.OWN * geometry.across) ** 2 + along**2)
+    return np.asarray(problem.noise.floor**2 + (problem.noise.OWN * geometry.scatter * geometry.across) ** 2 + along**2)
 
 
 def ring_shifts(edges: EdgePoints) -> Floats:

@@ -22,7 +22,7 @@ from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.files import read_bytes, write_atomically
 from optshape_graph.io.image_files import decode_image, opencv
 from optshape_graph.target import Target
-from optshape_graph.viz.style import BLUE, GREY, INK, VERMILLION, legend_below, new_figure, plain
+from optshape_graph.viz.style import BLUE, GREY, INK, VERMILLION, file_name, legend_below, literal, new_figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,7 +70,7 @@ def plot_view_errors(calibration: CameraCalibration) -> Figure:
             axes.plot(values[~used], y[~used], "o", mfc="none", color=VERMILLION, ms=7, label="not used")
         if used.any():
             axes.axvline(float(values[used].mean()), color=BLUE, lw=1.2, ls="--", label="mean of the used")
-    panels[0].set_yticks(y, [result.view.name for result in rows])
+    panels[0].set_yticks(y, [literal(result.view.name) for result in rows])
     panels[0].invert_yaxis()
     legend_below(figure, panels[0])
     figure.suptitle("errors of the views, each predicted by the extrinsic of the others")
@@ -127,7 +127,8 @@ def save_overlays(
     for number, result in enumerate(calibration.views):
         if result.view.image is not None and not result.view.image.image.lower().endswith(".csv"):
             picture = draw_overlay(calibration, number)
-            path = folder / f"{number:03d}_{Path(result.view.image_name).stem}_{result.view.target.name}.png"
+            name = f"{number:03d}_{Path(result.view.image_name).stem}_{result.view.target.name}"
+            path = folder / f"{file_name(name)}.png"
             write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())
             written.append(path)
         if progress is not None:

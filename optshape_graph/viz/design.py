@@ -14,7 +14,18 @@ from optshape_graph.design.problem import orientations
 from optshape_graph.design.rings import Rings
 from optshape_graph.design.sensitivity import cell_scores, edge_crossings, quadratic_forms, worst_motions
 from optshape_graph.target import Target
-from optshape_graph.viz.style import BLUE, GREY, INK, VERMILLION, colour, legend_below, new_figure, outline, plain
+from optshape_graph.viz.style import (
+    BLUE,
+    GREY,
+    INK,
+    VERMILLION,
+    colour,
+    legend_below,
+    literal,
+    new_figure,
+    outline,
+    plain,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -115,7 +126,7 @@ def plot_comparison(judgements: list[Judgement]) -> Figure:
     size = 1.15 * max(float(np.ptp(polygon, axis=0).max()) for polygon in polygons)
     for i, (judgement, polygon) in enumerate(zip(judgements, polygons, strict=True)):
         _shape(outlines, polygon + np.array([i * size, 0.0]))
-        outlines.text(i * size, 0.0, judgement.target.name, ha="center", va="center", fontsize=9)
+        outlines.text(i * size, 0.0, literal(judgement.target.name), ha="center", va="center", fontsize=9)
     outlines.set(xlim=(-0.5 * size, (n - 0.5) * size), title="at 1 m², seen from behind (y to the right)")
     outlines.set_axis_off()
     series = [
@@ -128,7 +139,7 @@ def plot_comparison(judgements: list[Judgement]) -> Figure:
         bars.bar_label(drawn, fmt="%.4f", fontsize=9, rotation=90, padding=3)
     names = []
     for judgement in judgements:
-        lines = [judgement.target.name, f"asymmetry {judgement.self_rotation.distance:.3f}"]
+        lines = [literal(judgement.target.name, 24), f"asymmetry {judgement.self_rotation.distance:.3f}"]
         if (bound := judgement.bound) is not None:
             median, worst = np.degrees(bound.e_in_plane)
             lines.append(f"in plane {median:.2f}°, worst {f'{worst:.2f}°' if np.isfinite(worst) else '∞'}")
@@ -186,7 +197,7 @@ def plot_study(study: ShapeStudy) -> Figure:
                 )
         for shape, x, y in zip(study.shapes, values, errors, strict=True):
             if not shape.target.name.startswith("random-") and np.isfinite(x):
-                axes.annotate(shape.target.name, (x, y), textcoords="offset points", xytext=(5, 4), fontsize=9)
+                axes.annotate(literal(shape.target.name), (x, y), textcoords="offset points", xytext=(5, 4), fontsize=9)
         found = study.correlation(name)
         axes.set(xlabel=label, title=f"rank correlation {found.rho:+.2f} (p = {found.p_value:.1g})")
         plain(axes)

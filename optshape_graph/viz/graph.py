@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.viz.style import GREY, INK, PURPLE, colour, legend_below, marker, new_figure, plain
+from optshape_graph.viz.style import GREY, INK, PURPLE, colour, legend_below, literal, marker, new_figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,7 +52,7 @@ def plot_graph(
         for key, (x, y) in zip(keys, xy, strict=True):
             if letter in rare:
                 name = (names or {}).get(key, gtsam.DefaultKeyFormatter(key))
-                axes.annotate(name, (x, y), textcoords="offset points", xytext=(6, 5), fontsize=9)
+                axes.annotate(literal(name), (x, y), textcoords="offset points", xytext=(6, 5), fontsize=9)
     if without := values.size() - len(places):
         axes.plot([], [], " ", label=f"{without} variables without a place")
     axes.set_aspect("equal", adjustable="datalim")

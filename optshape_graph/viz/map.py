@@ -15,6 +15,7 @@ from optshape_graph.viz.style import (
     colour,
     ellipse,
     legend_below,
+    literal,
     magnification,
     new_figure,
     outline,
@@ -45,7 +46,7 @@ def plot_map(result: Map, magnify: float | None = None) -> Figure:
     figure, axes = _axes()
     for k, (name, trajectory) in enumerate(result.trajectories.items()):
         path = trajectory.poses[:, :3, 3]
-        axes.plot(path[:, 0], path[:, 1], "-", color=colour(k), lw=1.2, label=f"trajectory {name}".strip())
+        axes.plot(path[:, 0], path[:, 1], "-", color=colour(k), lw=1.2, label=f"trajectory {literal(name)}".strip())
         axes.plot(path[0, 0], path[0, 1], "o", color=colour(k), ms=5, label=None if k else "start")
     drawn = [*(t.poses[:, :2, 3] for t in result.trajectories.values()), *(m.vertices[:, :2] for m in result.landmarks)]
     extent = float(np.ptp(np.vstack(drawn), axis=0).max()) if drawn else 1.0
@@ -59,7 +60,7 @@ def plot_map(result: Map, magnify: float | None = None) -> Figure:
         loop = place + magnify * ellipse(C, SIGMAS)
         axes.plot(loop[:, 0], loop[:, 1], color=VERMILLION, lw=1.0)
         if len(result.landmarks) <= MOST_NAMES:
-            axes.annotate(landmark.id, tuple(place), textcoords="offset points", xytext=(8, 8))
+            axes.annotate(literal(landmark.id), tuple(place), textcoords="offset points", xytext=(8, 8))
     large = "" if magnify == 1 else f", drawn {magnify:g} times too large"
     axes.set_title(f"{len(result.landmarks)} landmarks; ellipses of {SIGMAS:g} standard deviations{large}")
     if result.trajectories:
@@ -85,11 +86,13 @@ def plot_structure(problem: MappingProblem) -> Figure:
         label = f"{len(seen)} matches" if k == 0 else None
         axes.add_collection(LineCollection(seen, colors=GREY, linewidths=0.5, label=label, zorder=1))
         axes.add_collection(LineCollection(moved, colors=colour(k), linewidths=1.2, zorder=2))
-        axes.plot(path[:, 0], path[:, 1], ".", color=colour(k), ms=4, label=f"{len(path)} poses of {track.name}")
+        axes.plot(
+            path[:, 0], path[:, 1], ".", color=colour(k), ms=4, label=f"{len(path)} poses of {literal(track.name)}"
+        )
     for name, T in problem.T_world_target.items():
         axes.plot(*T[:2, 3], "s", color=INK, ms=6, zorder=3)
         if len(problem.T_world_target) <= MOST_NAMES:
-            axes.annotate(name, tuple(T[:2, 3]), textcoords="offset points", xytext=(8, 6))
+            axes.annotate(literal(name), tuple(T[:2, 3]), textcoords="offset points", xytext=(8, 6))
     axes.autoscale_view()
     axes.set_title(f"factor graph: {len(problem.T_world_target)} landmarks (squares), lines from where they were seen")
     legend_below(figure)

@@ -16,6 +16,7 @@ from optshape_graph.viz.style import (
     colour,
     ellipse,
     legend_below,
+    literal,
     magnification,
     marker,
     new_figure,
@@ -57,7 +58,7 @@ def plot_errors(
             axes.plot(values, rows + shift, ls="", marker=marker(k), color=colour(k), ms=6, label=name)
             axes.axvline(mean, color=colour(k), lw=1.2, ls="--")
         axes.set_xlim(left=0.0)
-    panels[0].set_yticks(rows, names or [str(k) for k in rows])
+    panels[0].set_yticks(rows, [literal(name) for name in names] or [str(k) for k in rows])
     panels[0].invert_yaxis()
     legend_below(figure, panels[0])
     figure.suptitle(f"{title} (dashed: means)")
@@ -112,7 +113,7 @@ def plot_placements(scans: Sequence[MocapScan], calibration: MocapCalibration) -
     axes.annotate("LiDAR", (0.0, 0.0), textcoords="offset points", xytext=(8, 8))
     for k, scan in enumerate(scans):
         seen = calibration.scale * scan.markers @ T[:3, :3].T + T[:3, 3]
-        outline(axes, scan.estimate.vertices[:, :2], colour(k), label=scan.name)
+        outline(axes, scan.estimate.vertices[:, :2], colour(k), label=literal(scan.name))
         axes.plot(
             *seen[:, :2].T,
             ls="",

@@ -25,6 +25,7 @@ from optshape_graph.viz.style import (
     colour,
     ellipse,
     legend_below,
+    literal,
     magnification,
     marker,
     new_figure,
@@ -323,6 +324,6 @@ def _colon(name: str) -> str:
 def _title(scan: Scan, estimate: PoseEstimate) -> str:
     distance, rings = float(np.linalg.norm(estimate.T_lidar_target[:3, 3])), estimate.edge_points.n_rings
     return (
-        f"{short(scan.name)}: '{estimate.target.name}' at {distance:.2f} m, {estimate.status}; "
+        f"{short(scan.name)}: '{literal(estimate.target.name)}' at {distance:.2f} m, {estimate.status}; "
         f"{estimate.n_returns} returns {f'on {rings} rings' if rings else 'without rings'}"
     )

@@ -11,7 +11,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.detection import Detections, Rejection
 from optshape_graph.scan import Scan
 from optshape_graph.simulation import SimulatedScan
-from optshape_graph.viz.style import INK, PALE, VERMILLION, new_figure, plain, short
+from optshape_graph.viz.style import INK, PALE, VERMILLION, literal, new_figure, plain, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,7 +47,7 @@ def plot_detections(scan: Scan, detections: Detections) -> Figure:
     Raises:
         MissingExtraError: matplotlib is absent.
     """
-    names = _unique([f"{one.target.name}, {one.status}, score {one.score:.2f}" for one in detections.found])
+    names = _unique([f"{literal(one.target.name)}, {one.status}, score {one.score:.2f}" for one in detections.found])
     outlines = {name: one.estimate.vertices for name, one in zip(names, detections.found, strict=True)}
     figure, seen, above = _drawn(scan, outlines)
     centres = np.array([one.centre for one in detections.rejected if not _is_found(one, detections)])
@@ -72,7 +72,9 @@ def plot_simulation(simulated: SimulatedScan) -> Figure:
     patches, poses = simulated.scene.targets, simulated.T_lidar_targets
     outlines = {
         name: patch.shape.vertices @ T[:3, :3].T + T[:3, 3]
-        for name, patch, T in zip(_unique([patch.shape.name for patch in patches]), patches, poses, strict=True)
+        for name, patch, T in zip(
+            _unique([literal(patch.shape.name) for patch in patches]), patches, poses, strict=True
+        )
     }
     return plot_scan(simulated.scan, outlines)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.errors import missing_extra
+from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io.files import write_atomically
 
 if TYPE_CHECKING:
@@ -24,6 +25,9 @@ COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 
 MARKERS = ("o", "s", "^", "D", "v", "P")
 """Go with the colours: series are told apart in black and white, too."""
+
+FORMATS = ("png", "pdf", "svg")
+"""Of pictures, by the endings of their names."""
 
 DPI = 150
 """Of files: a figure 8 inches wide is 1200 pixels."""
@@ -43,19 +47,30 @@ def new_figure(width: float = 8.0, height: float = 6.0) -> Figure:
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:
-    """Write a figure as PNG, whole or not at all; its folder is made.
+    """Write a figure, whole or not at all, in the format of its ending; its folder is made.
+
+    Args:
+        figure: what to write.
+        path: ends in .png, .pdf or .svg; without an ending it is a PNG.
 
     Raises:
-        InputError: the place cannot be written.
+        InputError: another ending, or the place cannot be written.
     """
     from io import BytesIO
 
-    stream = BytesIO()
-    figure.savefig(stream, format="png", dpi=DPI)
-    path = Path(path)
+    stream, path = BytesIO(), Path(path)
+    kind = path.suffix.lower().lstrip(".") or "png"
+    if kind not in FORMATS:
+        raise InputError(f"{path}: expected the name of a picture to end in .{', .'.join(FORMATS)}")
+    figure.savefig(stream, format=kind, dpi=DPI)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, stream.getvalue())
     return path
+
+
+def file_name(text: str) -> str:
+    """Return a text as part of a file's name: a target may be called anything, `../../etc` included."""
+    return re.sub(r"[^\w.+@-]+", "_", text)[:100].lstrip(".") or "_"
 
 
 def colour(k: int) -> str:
@@ -90,9 +105,16 @@ def legend_below(figure: Figure, *axes: Axes, columns: int = 4, title: str | Non
     )
 
 
+def literal(text: str, longest: int = 48) -> str:
+    """Return a name as it is to be drawn: dollars are no mathematics, and what is very long is cut in the middle."""
+    if len(text) > longest:
+        text = f"{text[: longest // 2]}…{text[-(longest // 2 - 1) :]}"
+    return text.replace("$", r"\$")
+
+
 def short(name: str) -> str:
-    """Return the last part of a scan's name, where that is a path."""
-    return PurePath(name).name or name
+    """Return the last part of a scan's name, where that is a path, as it is to be drawn."""
+    return literal(PurePath(name).name or name)
 
 
 def outline(axes: Axes, polygon: Floats, colour: str = INK, **style: object) -> None:

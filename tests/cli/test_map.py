@@ -82,6 +82,7 @@ def test_nothing_found_is_exit_status_three(recording, tmp_path):
     output = run(recording, "--targets", "triangle@0.05", "--sensor", recording / "lidar.yaml",
                  "--json", tmp_path / "map.json", code=3)  # fmt: skip
     assert "0 landmarks" in output
+    assert "no target was seen" in output
     assert load_map(tmp_path / "map.json").landmarks == ()
 
 
@@ -117,7 +118,9 @@ def test_odometry_of_the_base_and_a_lidar_on_a_mast(recording, tmp_path, static)
     if static:
         assert "is at (0.800, -0.300, 1.200) m in 'base'" in run(*arguments, "--json", tmp_path / "map.json")
     else:
-        assert "no static transform links them" in run(*arguments, code=3)
+        output = run(*arguments, code=3)
+        assert "no static transform links them" in output
+        assert "sightings did not agree on a landmark" in output
         run(*arguments, "--mounting", 0.8, -0.3, 1.2, 0, 5, 90, "--json", tmp_path / "map.json")
     found = load_map(tmp_path / "map.json")
     assert len(found.landmarks) == 2

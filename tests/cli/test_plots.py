@@ -47,6 +47,22 @@ def test_detect_and_simulate(tmp_path):
     assert drawn(found, tmp_path / "d") == {"a.png", "a_0_paper.png"}
 
 
+def test_a_target_s_name_does_not_lead_out_of_the_folder(tmp_path):
+    (tmp_path / "in").mkdir()
+    board = (DEMO / "target.yaml").read_text().replace("name: built", 'name: "../../../outside"')
+    (tmp_path / "in/board.yaml").write_text(board)
+    scene = "schema: optshape/scene/1\ntargets: [{target: board.yaml, position: [4, 0, 0], rpy_deg: [10, 5, 20]}]\n"
+    (tmp_path / "in/scene.yaml").write_text(
+        scene + "floor: {height: -1.5}\nwalls: [{size: [12, 4], position: [9, 0, 0]}]\n"
+    )
+    made = run("simulate", "--scene", tmp_path / "in/scene.yaml", "-o", tmp_path / "in/a.pcd")
+    assert made.exception is None, made.exception
+    found = run("detect", tmp_path / "in/a.pcd", "--target", tmp_path / "in/board.yaml", "--sensor", "vlp32c",
+                "--plot", tmp_path / "in/p")  # fmt: skip
+    assert drawn(found, tmp_path / "in/p") == {"a.png", "a_0_.._.._.._outside.png"}
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
 def test_calibrate_and_evaluate_mocap(tmp_path):
     result = run("calibrate", "mocap", DEMO / "session.yaml", "--plot", tmp_path / "c")
     assert drawn(result, tmp_path / "c") == {"errors.png", "placements.png", "markers.png"}

@@ -8,6 +8,7 @@ from optshape_graph.evaluation.shape_study import TILT, random_placements, rando
 from optshape_graph.io.sensors import load_sensor
 from optshape_graph.io.targets import load_target
 from optshape_graph.viz.design import plot_study
+from tests.viz.legible import assert_legible
 
 
 def test_random_shapes_are_triangles_quadrilaterals_and_pentagons():
@@ -46,6 +47,6 @@ def test_study_is_repeatable_resumes_and_finds_small_errors(tmp_path):
     summary = first.summary()
     assert [shape["name"] for shape in summary["shapes"]] == ["paper", "triangle", "random-0"]
     assert len(summary["correlations"]) == 4
-    plot_study(first).savefig(tmp_path / "study.png", dpi=40)
+    assert_legible(plot_study(first))
     with pytest.raises(InputError, match="another sweep"):
         study_shapes(targets, sensor, placements, 1, tmp_path / "a")

@@ -321,6 +321,36 @@ def scene_json(_: Path) -> list[bytes]:
     return [b'{"schema": "optshape/scene/1", "floor": {"height": -1}, "boxes": [' + box + b"]}"]
 
 
+def read_result(path: Path) -> object:
+    from optshape_graph.viz.documents import spatial
+
+    return spatial(path)
+
+
+def results(folder: Path) -> list[bytes]:
+    """One result of each kind, with the keys that are looked at."""
+    T, C, points = np.eye(4), 1e-4 * np.eye(6), np.array([5.0, 0, 0]) + PAPER.vertices
+    found = {"target": "paper", "T_lidar_target": T, "covariance": C, "vertices": points, "status": "ok", "reason": ""}
+    of_edges = {"labels": [0, 1, 2, 3], "edge_points": points, "ambiguity": {"margin": 9.0, "T_lidar_target": T}}
+    rejected = {"reason": "too small", "centre": [1, 2, 3]}
+    own = {"name": "front", "model": "pinhole", "width": 64, "height": 48, "K": K, "D": []}
+    pair = {"camera": "front", "lidar": "top", "T_lidar_camera": T, "covariance_T_lidar_camera": C}
+    documents: dict[str, dict[str, object]] = {
+        "estimate": {"scans": [{"scan": "a", **found, **of_edges}, {"scan": "b", "T_lidar_target": None, "reason": 1}]},
+        "detect": {"scans": [{"scan": "a", "targets": [{**found, "return_indices": [0, 2]}], "rejected": [rejected]}]},
+        "mocap": {"T_lidar_mocap": T, "covariance": C, "marker_layout": points,
+                  "scans": [{"scan": "a", "T_lidar_target": T}]},
+        "camera": {**pair, "cameras": [own], "extrinsics": [{**pair, "next_placement": {"T_lidar_target": T}}],
+                   "lidars": [{"lidar": "rear", "T_base_lidar": T}]},
+        "simulation": {"scan": "a.pcd", "targets": [{"target": "paper", "vertices": points}]},
+    }  # fmt: skip
+    made = []
+    for kind, document in documents.items():
+        write_json(folder / "seed.json", {"schema": f"optshape/{kind}/1", **document})
+        made.append((folder / "seed.json").read_bytes())
+    return [*made, *maps(folder)]
+
+
 def camera_files(_: Path) -> list[bytes]:
     from tests.io import test_cameras as texts
 
@@ -542,6 +572,7 @@ READERS: dict[str, Reader] = {
             Form("any.json", read_json, json_of({"a": [1, 2.5, None, True, "x"]})),
         )
     ),
+    "result": Reader((Form("result.json", read_result, results),)),
     "camera": Reader((
         Form("camera.yaml", load_camera, camera_files),
         Form("camera.json", load_camera, lambda _: [b'{"schema": "optshape/camera/1", "model": "pinhole", "width": 64, '

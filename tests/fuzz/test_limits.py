@@ -103,6 +103,13 @@ PROMISES: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "JSON nested deeply": ("json", "any.json", text("[" * 1_000_000)),
     "JSON of nested mappings": ("json", "map.json", text('{"a":' * 1_000_000)),
     "an integer of a million digits": ("json", "map.json", text('{"schema": ' + "9" * 1_000_000 + "}")),
+    "JSON with a key twice, the last of many": (
+        "json", "any.json", text("{" + "".join(f'"{k}": 0, ' for k in range(300_000)) + '"0": 0}'),
+    ),
+    "motion capture of many markers, the last named twice": (
+        "mocap", "a.tsv",
+        text("FREQUENCY\t100\nMARKER_NAMES" + "".join(f"\t{k}" for k in [*range(100_000), 0]) + "\n" + "1\t" * 300_003),
+    ),
     "an image of a thousand million pixels": ("image", "a.png", png_bomb),
     "a CSV line of a million names": ("csv", "cloud.csv", text("x,y,z" + ",a" * 1_000_000 + "\n")),
     "a trajectory in one line": ("trajectory", "a.tum", text("1 " * 2_000_000)),

@@ -146,6 +146,7 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     "target with a word": target(TARGET.replace("-0.5]]", "low]]"), ":2: vertices[3][2]: expected a finite number, found 'low'"),
     "target with NaN": target(TARGET.replace("-0.5]]", ".nan]]"), "vertices[3][2]: expected a finite number, found nan"),
     "target of two vertices": target("schema: optshape/target/1\nvertices: [[0, 1, 0], [0, -1, 0]]\n", "2 vertices"),
+    "target of two thousand vertices": target("schema: optshape/target/1\nvertices: [" + "[0, 1, 0], " * 2000 + "]\n", "2000 vertices; expected at most 1000"),
     "target out of its plane": target(TARGET.replace("[0, 0.5, -0.5]", "[0.3, 0.5, -0.5]"), "plane x = 0"),
     "target the wrong way round": target(
         "schema: optshape/target/1\nvertices: [[0, 0, 1], [0, 1, -0.5], [0, -1, -0.5]]\n", "counter-clockwise",
@@ -230,6 +231,10 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     "reflectivity above one": scene(SCENE.replace("-1}", "-1, reflectivity: 2}"), "floor.reflectivity: expected a number from 0 to 1, found 2"),
     "mesh that is not there": scene(SCENE + "meshes: [{file: chair.ply}]\n", "meshes[0].file: no such file: chair.ply"),
     "cloud to a name of another form": ("simulate --range 5 -o out.ply", {}, ("out.ply: expected a name ending in .pcd",)),
+    # results to be shown
+    "a result that is of no kind": ("view r.json", {"r.json": '{"schema": "optshape/poem/1"}'}, ("r.json: schema: 'optshape/poem/1' cannot be shown in space; expected one of: ",)),
+    "a result of a newer form": ("view r.json", {"r.json": '{"schema": "optshape/estimate/2", "scans": []}'}, ("r.json: schema: 'optshape/estimate/2' cannot be shown in space",)),
+    "a result without its scans": ("view r.json", {"r.json": '{"schema": "optshape/estimate/1"}'}, ("r.json: the key 'scans' is missing; found only: schema",)),
     # shapes
     "shape that is not there": ("design score nosuch", {}, ("nosuch: no such file, and the built-in targets are: ",)),
     "negative area": ("design optimise --area -1", {}, ("area: expected a positive number; found -1",)),
@@ -295,4 +300,4 @@ def test_bad_input_is_said_in_one_line(
 
 def test_the_table_covers_every_command() -> None:
     assert len(ROWS) >= 60
-    assert {line.split()[0] for line, _, _ in ROWS.values()} >= set(COMMANDS) - {"completion", "view"}
+    assert {line.split()[0] for line, _, _ in ROWS.values()} >= set(COMMANDS) - {"completion"}

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 import optshape_graph
 from optshape_graph import InputError
 from optshape_graph.io import load_camera, load_schema, load_sensor, load_session, load_target, schema_names
-from optshape_graph.io.documents import read_yaml, write_json
+from optshape_graph.io.documents import read_yaml
 from tests.fuzz import readers
 from tests.io.schema_support import complaint, validator
 
@@ -155,7 +155,7 @@ def test_what_a_schema_refuses_the_reader_refuses(tmp_path_factory: pytest.TempP
     @given(st.sampled_from(good).flatmap(lambda document: damaged(document, names)))
     @settings(max_examples=300, suppress_health_check=list(HealthCheck))
     def agree(document: Any) -> None:
-        write_json(file, document)
+        file.write_text(json.dumps(document))
         fits = check.is_valid(document)
         try:
             read(file)
@@ -167,6 +167,17 @@ def test_what_a_schema_refuses_the_reader_refuses(tmp_path_factory: pytest.TempP
 
     for document in good:
         assert check.is_valid(document)
+        for place in places(document):  # truth values are numbers to Python, and to nobody else
+            *way, last = place
+            changed = copy.deepcopy(document)
+            holder = changed
+            for key in way:
+                holder = holder[key]
+            holder[last] = bool(holder[last])
+            file.write_text(json.dumps(changed))
+            if not check.is_valid(changed):
+                with pytest.raises(InputError):
+                    read(file)
     agree()
     assert min(counts["read"], counts["refused by both"]) > 0, counts
 

@@ -129,7 +129,7 @@ def drive(
                 except EstimationError:
                     continue
                 if estimate.status != "failed":
-                    seen.append(Sighting.of(estimate, f"t{j}", biases=True))
+                    seen.append(Sighting.of(estimate, f"t{j}"))
         sightings.append(seen)
     return Drive(poses, targets, measured, np.array([covariance(s) for s in sigma]), sightings)
 

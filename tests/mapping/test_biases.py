@@ -32,7 +32,7 @@ def estimates(T, n, seed, moved=0.0):
 
 def known(poses, found):
     """Return the problem of a LiDAR whose poses are known exactly."""
-    matches = tuple(Match(k, "a", Sighting.of(e, "a", biases=True), 0) for k, e in enumerate(found))
+    matches = tuple(Match(k, "a", Sighting.of(e, "a"), 0) for k, e in enumerate(found))
     steps = inverse(poses[:-1]) @ poses[1:]
     odometry = tuple(Odometry(k, k + 1, step, FIXED) for k, step in enumerate(steps))
     track = Track("one", np.arange(float(len(found))), poses, odometry, matches, Start(poses[0], FIXED))
@@ -51,7 +51,7 @@ def test_one_scan_says_the_same_whether_its_biases_are_marginalised_before_or_af
 def test_many_scans_at_rest_are_those_of_fuse_static():
     poses, found = estimates(at(7.0, 1.0, 0.3, 0.2), 10, 3)
     solution = solve_batch(known(poses, found), robust=False)
-    shared = [Sighting.of(e, biases=True).biased for e in found]
+    shared = [Sighting.of(e).biased for e in found]
     fused = fuse_static(shared, 1.0)
     H = inverse(solution.landmarks["a"])
     J = fused.jacobian(H)
@@ -78,8 +78,8 @@ def test_a_landmark_seen_often_is_no_better_known_than_the_biases_allow():
 def test_sightings_are_moved_and_renamed_with_their_biases():
     rng = np.random.default_rng(0)
     _, [found] = estimates(at(7.0, 1.0, 0.3, 0.2), 1, 4)
-    sighting = Sighting.of(found, biases=True)
+    sighting = Sighting.of(found)
     T = random_pose(rng)
     moved, H = sighting.moved(T), random_pose(rng)
     assert moved.biased.marginal(1.0).error(H) == pytest.approx(sighting.biased.marginal(1.0).error(H @ T), rel=1e-9)
-    assert Sighting.of(found).biased is None
+    assert Sighting.of(found, biases=False).biased is None

@@ -48,6 +48,12 @@ def test_a_map_survives_its_file(tmp_path):
     assert set(document["landmarks"][0]) == {
         "id", "target", "T_world_target", "covariance", "vertices", "observations",
     }  # fmt: skip
+    assert document["session"] == "one"
+    assert set(document["trajectory"][0]) == {"stamp", "T_world_lidar"}
+    both = merge_maps(made, a_map("bcd", session="two"))
+    save_map(tmp_path / "both.json", both)
+    assert set(load_map(tmp_path / "both.json").trajectories) == {"one", "two"}
+    document = json.loads((tmp_path / "both.json").read_text())
     assert set(document["trajectory"][0]) == {"session", "stamp", "T_world_lidar"}
 
 

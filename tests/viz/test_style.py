@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from optshape_graph import InputError, MissingExtraError
-from optshape_graph.viz.style import ellipse, magnification, new_figure, plain, save_figure, short
+from optshape_graph.viz.style import ellipse, file_name, magnification, new_figure, plain, save_figure, short
 
 
 def test_an_absent_matplotlib_says_what_to_install(monkeypatch):
@@ -37,6 +37,13 @@ def test_a_figure_is_a_whole_png_in_a_new_folder(tmp_path):
     assert [p.name for p in path.parent.iterdir()] == ["a.png"]
 
 
+def test_the_ending_is_the_format(tmp_path):
+    assert save_figure(new_figure(), tmp_path / "a.pdf").read_bytes()[:5] == b"%PDF-"
+    assert b"<svg" in save_figure(new_figure(), tmp_path / "a.SVG").read_bytes()
+    with pytest.raises(InputError, match=r"a\.doc: expected the name of a picture to end in \.png, \.pdf, \.svg"):
+        save_figure(new_figure(), tmp_path / "a.doc")
+
+
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises((InputError, OSError), match="file"):
@@ -58,6 +65,22 @@ def test_an_ellipse_has_the_covariance_s_axes():
     assert np.abs(loop[:, 1]).max() == pytest.approx(0.3, rel=1e-2)
 
 
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [("4m_angled_fit", "4m_angled_fit"), ("../../etc/passwd", "_.._etc_passwd"), ("paper@1", "paper@1"), ("..", "_"),
+     ("Tafel Ü", "Tafel_Ü"), ("a\0b", "a_b"), ("x" * 300, "x" * 100)],
+)  # fmt: skip
+def test_names_of_files_stay_in_their_folder(text, name):
+    assert file_name(text) == name
+
+
 def test_names_of_scans_are_short():
     assert short("/a/b/scan.pcd") == "scan.pcd"
     assert short("simulated") == "simulated"
+    assert short("/a/" + "x" * 200) == "x" * 24 + "…" + "x" * 23
+
+
+def test_dollars_in_names_are_no_mathematics(tmp_path):
+    figure = new_figure()
+    figure.suptitle(short(r"a$\frac$b"))
+    save_figure(figure, tmp_path / "a.png")
