@@ -86,8 +86,7 @@ def outermost_return(step: Floats) -> tuple[Floats, Floats]:
         step: (...) how far across the edge the ring's next ray is, in beam widths.
 
     Returns:
-        How much further out it lies, in units of the beam's width, and its scatter against that of a single ray, each
-        (...).
+        How much further out it lies, in beam widths, and its scatter against that of a single ray, each (...).
     """
     steps, shift, share = _outermost()
     step = np.maximum(step, FINEST_STEP)
