@@ -65,7 +65,7 @@ class EdgeGeometry:
         along: (C, M) how fast it grows along the ring, outwards, metres per radian.
         across: (C, M) how fast it grows with the offset across the edge, metres per beam width.
         shift: (C, M) how much further out the last return lies than a single ray would, metres.
-        scatter: (C, M) its own scatter across the edge against that of a single ray.
+        scatter: (C, M) its own scatter across the edge, relative to that of a single ray.
     """
 
     labels: Ints

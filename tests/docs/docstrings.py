@@ -27,7 +27,7 @@ CONVENTION = re.compile(r"\bT_\w+|4, 4\)|6, 6\)")
 UNIT = re.compile(
     r"\b(m|mm|(milli|square )?metres?|m2|m²|m\^2|rad|radians|deg|degrees?|s|(nano)?seconds?|Hz|pixels?)\b|"
     # what has none
-    r"\b(units?|any unit|ratio|relative|whitened|weights?|weighted|probabilit(y|ies)|shares?|fractions?|chi-square|"
+    r"\b(units?|beam widths|ratio|relative|whitened|weights?|weighted|probabilit(y|ies)|shares?|fractions?|chi-square|"
     r"log likelihoods?|scores?|indices|index|numbers?|labels?|standard deviations|as recorded|unknowns?|"
     r"rotations?|orthonormal|colours?|blue|grey|rows?|columns?|matrix|form|tangent|information|whether|squared|"
     r"parameters)\b"

@@ -75,6 +75,6 @@ def options() -> set[str]:
 def test_what_pages_name_exists(page: Path) -> None:
     text = re.sub(r"pip install[^\n`]*", "", page.read_text())
     assert set(re.findall(r"`optshape ([a-z]+)", text)) <= set(COMMANDS)
-    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= options()
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]+", text)) <= options()
     for name in re.findall(r"`(?:notebooks/)?(\d\d_\w+\.ipynb)`", text):
         assert (ROOT / "notebooks" / name).is_file(), name
