@@ -66,6 +66,12 @@ def command(
     if camchain:
         write_yaml(camchain, kalibr_camchain(calibration))
     _print(calibration)
+    if calibration.refined and refine_intrinsics is None:
+        click.echo(
+            "optshape: lens and extrinsic go together; for an extrinsic that goes with the given intrinsics: "
+            "--keep-intrinsics",
+            err=True,
+        )
     if plots:
         from optshape_graph.viz.camera import plot_view_errors, save_overlays
 
