@@ -28,6 +28,9 @@ MAX_ITERATIONS = 20
 STALE_M = 1e-4
 """A measurement is made again with a new twist if that moves one of its returns by this, metres."""
 
+SETTLING = 6
+"""Iterations from which on a measurement may be twice as stale in each as in the one before."""
+
 CONVERGED = 1e-7
 """Largest component of a step, rad or metres, with which it ends."""
 
@@ -121,11 +124,12 @@ class MotionMeasurement:
         """Time of the measurement, from 0 at the scan's start to 1 at its end."""
         return (self.at - self.start) / (self.end - self.start)
 
-    def with_twist(self, twist: Floats) -> MotionMeasurement:
-        """Return the measurement made with another twist; this one, if no return would move by more than STALE_M.
+    def with_twist(self, twist: Floats, stale: float = STALE_M) -> MotionMeasurement:
+        """Return the measurement made with another twist; this one, if no return would move by more than `stale`.
 
         Args:
             twist: (6,) of the LiDAR in its own frame, rad/s, then m/s.
+            stale: metres.
 
         Raises:
             InputError: the returns have no times.
@@ -133,7 +137,7 @@ class MotionMeasurement:
         change = np.abs(np.asarray(twist, float) - self.twist)
         apart = float(np.abs(_times(self.returns) - self.at).max())
         reach = float(np.linalg.norm(self.returns.points, axis=1).max())
-        if apart * (np.linalg.norm(change[:3]) * reach + np.linalg.norm(change[3:])) <= STALE_M:
+        if apart * (np.linalg.norm(change[:3]) * reach + np.linalg.norm(change[3:])) <= stale:
             return self
         return self.of(self.returns, self.estimate.target, twist, self.start, self.end)
 
@@ -191,11 +195,13 @@ def solve_motion(
         EstimationError: the graph does not determine the variables, or it does not converge.
     """
     current = list(measurements)
-    for _ in range(MAX_ITERATIONS):
+    for iteration in range(MAX_ITERATIONS):
+        # A ring end near a vertex may go from one edge to the other and back for ever: what is made again has to rest.
+        stale = STALE_M * 2.0 ** max(0, iteration - SETTLING)
         graph = gtsam.NonlinearFactorGraph(others)
         for k, (measurement, k_target, k_start, k_end) in enumerate(current):
             motion = values.atPose3(k_start).between(values.atPose3(k_end)).matrix()
-            again = measurement.with_twist(twist_between(motion, measurement.end - measurement.start))
+            again = measurement.with_twist(twist_between(motion, measurement.end - measurement.start), stale)
             current[k] = again, k_target, k_start, k_end
             graph.push_back(MotionFactor(again, k_target, k_start, k_end, values))
         linear = graph.linearize(values)

@@ -11,7 +11,7 @@ from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.pose.estimate import Ambiguity
 from optshape_graph.pose.likelihood import Firings
-from optshape_graph.pose.propagation import Posterior, Problem, propagate
+from optshape_graph.pose.propagation import Posterior, Problem, concatenate, propagate
 from optshape_graph.pose.sampling import SampledMode, sample_mode
 from optshape_graph.target import Target
 
@@ -93,24 +93,28 @@ def modes_by_samples(candidates: Candidates, problem: Problem, firings: Firings)
             other, rest = found[known]
             found[known] = max(mode, other, key=lambda m: m.effective), rest | members
     found.sort(key=lambda entry: -entry[0].log_evidence)
-    best = found[0][1]
-    order = np.argsort(~best, kind="stable")
-    rivals = [mode for mode, _ in found[1:]]
     if few:
-        turned = _half_turn(candidates.posterior.T_target_lidar[order[0]], problem, firings)
-        rivals += [] if _meet(turned, found[0][0]) else [turned]
-    if not rivals:
+        best = candidates.posterior.select(np.flatnonzero(found[0][1])[:1])
+        turned = _half_turn(best.T_target_lidar, problem)
+        mode = sample_mode(turned.T_target_lidar[0], turned.covariance[0], problem, firings)
+        if not any(_meet(mode, other) for other, _ in found):
+            alone = np.append(np.zeros(len(candidates.score), dtype=bool), True)
+            candidates = Candidates(
+                concatenate(candidates.posterior, turned), np.append(candidates.score, turned.log_evidence)
+            )
+            found = [(other, np.append(members, False)) for other, members in found] + [(mode, alone)]
+            found.sort(key=lambda entry: -entry[0].log_evidence)
+    if len(found) < 2:
         return modes_by_association(candidates, problem.target)
-    rival = max(rivals, key=lambda mode: mode.log_evidence)
-    ambiguity = Ambiguity(found[0][0].log_evidence - rival.log_evidence, rival.T_lidar_target)
-    return Modes(candidates.select(order), best[order], ambiguity)
+    (winner, of_winner), (rival, _) = found[:2]
+    order = np.argsort(~of_winner, kind="stable")
+    ambiguity = Ambiguity(winner.log_evidence - rival.log_evidence, rival.T_lidar_target)
+    return Modes(candidates.select(order), of_winner[order], ambiguity)
 
 
-def _half_turn(T_target_lidar: Floats, problem: Problem, firings: Firings) -> SampledMode:
-    """The mode about a pose turned upside down in its plane: the usual rival, where rings are few."""
-    upside_down = np.diag([1.0, -1.0, -1.0, 1.0]) @ T_target_lidar
-    there = propagate(problem, upside_down[None], relinearisations=4, sweeps=2)
-    return sample_mode(there.T_target_lidar[0], there.covariance[0], problem, firings)
+def _half_turn(T_target_lidar: Floats, problem: Problem) -> Posterior:
+    """Posterior about a pose (1, 4, 4) turned upside down in its plane: the usual rival, where rings are few."""
+    return propagate(problem, np.diag([1.0, -1.0, -1.0, 1.0]) @ T_target_lidar, relinearisations=4, sweeps=2)
 
 
 def _groups(candidates: Candidates, target: Target) -> list[Bools]:

@@ -86,14 +86,11 @@ def outermost_return(step: Floats) -> tuple[Floats, Floats]:
         step: (...) how far across the edge the ring's next ray is, in beam widths.
 
     Returns:
-        How much further out it lies, in beam widths, and its scatter against that of a single ray, each (...); the
-        first is taken to be anywhere between nothing and what independent rays do.
+        How much further out it lies, in beam widths, and its scatter against that of a single ray, each (...).
     """
     steps, shift, share = _outermost()
     step = np.maximum(step, FINEST_STEP)
-    # Decisions of neighbouring rays may also be one and the same, and then there is no shift: it is half, give or take.
-    most = np.interp(step, steps, shift)
-    return 0.5 * most, np.hypot(np.interp(step, steps, share), most)
+    return np.interp(step, steps, shift), np.interp(step, steps, share)
 
 
 @cache

@@ -13,9 +13,8 @@ def test_outermost_of_rays_that_happen_to_return(step: float) -> None:
     place = step * (rng.uniform(size=(40_000, 1)) + np.arange(-np.ceil(1.5 / step) - 1, np.ceil(0.5 / step) + 1))
     last = np.where(rng.uniform(-0.5, 0.5, place.shape) > place, place, -np.inf).max(axis=1)
     shift, share = outermost_return(np.array([step]))
-    most = 2 * shift[0]  # rays that decide alike are not shifted: half is taken, give or take
-    assert last.mean() == pytest.approx(most - step / 2, abs=0.01)
-    assert last.var() == pytest.approx((share[0] ** 2 - most**2) / 12 + step**2 / 12, rel=0.04)
+    assert last.mean() == pytest.approx(shift[0] - step / 2, abs=0.01)
+    assert last.var() == pytest.approx(share[0] ** 2 / 12 + step**2 / 12, rel=0.04)
 
 
 def test_one_ray_is_as_before_and_a_ring_along_an_edge_no_finer_than_the_finest() -> None:
