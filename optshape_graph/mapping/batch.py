@@ -88,8 +88,11 @@ class _Batch:
             {name: V(number[name]) for name in self.shapes.targets},
             {t: B(t) for t, found in enumerate(self.biases.names) if found},
         )
+        all_poses = [key for keys in poses for key in keys]
         self.pose = np.array([offset[t] + m.pose for t, track in enumerate(problem.tracks) for m in track.matches], int)
         self.landmark = np.array([number[match.landmark] for match in matches], int)
+        self.k_lidar = [all_poses[k] for k in self.pose]
+        self.k_target = [L(number[match.landmark]) for match in matches]
         measurements = [match.measurement for match in matches]
         self.L = np.array([m.L for m in measurements]).reshape(-1, 12, 12)
         self.b = np.array([m.b for m in measurements]).reshape(-1, 12)
@@ -102,10 +105,13 @@ class _Batch:
         if not np.isfinite(error):
             raise EstimationError(f"the cost of the initial map is {error}: a measurement is not finite there")
         converged = False
+        ordering: gtsam.Ordering | None = None  # what links what stays the same
         while not converged and iterations < MAX_ITERATIONS:
             linear = self._linearise(values)
+            if ordering is None:
+                ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
             try:
-                step = linear.optimize()
+                step = linear.optimize(ordering)
             except RuntimeError as problem:
                 raise EstimationError(f"poses and landmarks are not determined: {problem}") from problem
             converged = -0.5 * linear.gradientAtZero().dot(step) < CONVERGED
@@ -177,15 +183,14 @@ class _Batch:
 
     def _model(self, H: Floats) -> _Model:
         """Return the Gauss-Newton model of every match at T_target_lidar (K, 4, 4)."""
-        r = (self.L @ vec(H)[..., None])[..., 0] + self.b
-        J = self.L @ vec_derivative(H)
-        Jt = np.swapaxes(J, 1, 2)
-        information = Jt @ J
+        Jr = self.L @ np.concatenate([vec_derivative(H), vec(H)[..., None]], axis=2)
+        Jr[..., 6] += self.b
+        G = np.swapaxes(Jr, 1, 2) @ Jr
         # A sighting that leaves a direction open has no square root; this much is far below what anything measures.
-        information += RIDGE * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(6)
-        R = np.linalg.cholesky(information)
-        d = np.linalg.solve(R, Jt @ r[..., None])[..., 0]
-        return _Model(H, np.swapaxes(R, 1, 2), d, np.square(r).sum(axis=1) - np.square(d).sum(axis=1))
+        ridge = RIDGE * np.trace(G[:, :6, :6], axis1=1, axis2=2)
+        G += ridge[:, None, None] * np.eye(7)
+        C = np.linalg.cholesky(G)  # of [J r]^T [J r]: [R d; 0 sqrt(floor)] transposed
+        return _Model(H, np.swapaxes(C[:, :6, :6], 1, 2).copy(), C[:, 6, :6].copy(), np.square(C[:, 6, 6]) - ridge)
 
     def _cost(self, values: gtsam.Values) -> float:
         """Half the chi-square, exact. The models made on the way are kept, for `_linearise` at the same values."""
@@ -216,8 +221,7 @@ class _Batch:
         by_target = -R @ adjoint(inverse(model.H))
         linear = self.others.linearize(values)
         unit = gtsam.noiseModel.Unit.Create(6)
-        k_lidar = np.array([key for keys in self.keys.poses for key in keys])[self.pose].tolist()
-        k_target = np.array(list(self.keys.landmarks.values()))[self.landmark].tolist() if len(R) else []
+        k_lidar, k_target = self.k_lidar, self.k_target
         for k in np.flatnonzero(~self.shapes.replaced & ~self.biases.replaced).tolist():
             linear.push_back(gtsam.JacobianFactor(k_target[k], by_target[k], k_lidar[k], R[k], b[k], unit))
         for n, (k, t) in enumerate(zip(self.biases.matches.tolist(), self.biases.track.tolist(), strict=True)):
