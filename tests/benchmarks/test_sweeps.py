@@ -1,4 +1,4 @@
-"""The issue of accuracy in numbers: against the paper's method, partial illumination, consistency.
+"""Accuracy in numbers: against the paper's method, partial illumination, consistency.
 
 The sweeps are kept in the cache of pytest under a digest of the package's code: a run that is stopped goes on where it
 was, and a change of the code starts anew.
@@ -37,9 +37,9 @@ def test_half_of_the_papers_errors_and_no_flip_is_ok(run):
     """In each group, over all estimates whatever they say of themselves.
 
     What is printed but not asserted is the mean of e_r without noise at the extreme orientation. A handful of poses at
-    30 to 40 m, five rings and a dozen returns, are flipped there, each of which adds 0.45 deg: the likelihood of
-    the flip is as high as that of the truth or higher. They are flagged. The paper's method begins at the identity,
-    near the truth.
+    30 to 40 m, five rings and a dozen returns, are flipped there, each of which adds 0.45 deg. The log likelihood of
+    the flip was within 1.2 of that of the truth in all seven that were looked at, and above it in six. They are
+    flagged. The paper's method begins at the identity, near the truth.
     """
     rows = run("paper", SimulationSweep(TARGET))
     ours = [row for row in rows if row["method"] == "global"]
@@ -65,7 +65,12 @@ def test_half_of_the_papers_errors_and_no_flip_is_ok(run):
 
 @pytest.mark.parametrize("noise", ["0", "1", "sensor"])
 def test_partial_illumination(run, noise):
-    """A third of the rings removed, four or more left: within 5 deg in 95 %, or not far beyond what it says itself."""
+    """A third of the rings removed, four or more left: within 5 deg in about 95 %, or as far off as said.
+
+    With azimuth noise, at the extreme orientation, even the bound is over 2.5 deg in a quarter of the scans: 91 to 92 %
+    are within 5 deg there, and 93 % should be by the covariances. Both orientations together were 94.7 and 95.4 % of
+    two seeds; 93 % leaves two standard deviations.
+    """
     sensor = load_sensor("vlp32c") if noise == "sensor" else None
     rows = run(f"partial-{noise}", SimulationSweep(
         TARGET, sensor, ("global",), tuple(np.arange(10.0, 31.0, 2.0)), noise=(noise,), removed_share=1 / 3,
@@ -83,12 +88,7 @@ def test_partial_illumination(run, noise):
 
 
 def test_consistency(run):
-    """500 jittered scans in each of six cells: NEES / dof and coverage of the pose within 90 to 98 %.
-
-    Of the axes, the rotation about the normal at 5 m face-on covers more, 98.1 % of 1,500: its standard deviation is
-    a quarter too large there, where beams are wider than a step. (Neither the allowance for lost returns nor that for
-    flatness is why.) The limit for axes lets it pass.
-    """
+    """500 jittered scans in each of six cells: NEES / dof, and coverage of the pose and of each axis within 90 to 98 %."""
     rows = run("consistency", SimulationSweep(
         TARGET, load_sensor("vlp32c"), ("global",), (5.0, 10.0, 20.0), noise=("sensor",), draws=500,
     ))  # fmt: skip
@@ -100,4 +100,4 @@ def test_consistency(run):
         assert 0.8 <= cell["nees_per_dof"] <= 1.25
         assert 0.90 <= cell["coverage"] <= 0.98
         assert min(axes) >= 0.90
-        assert max(axes) <= 0.99
+        assert max(axes) <= 0.98
