@@ -88,7 +88,7 @@ def test_partial_illumination(run, noise):
 
 
 def test_consistency(run):
-    """500 jittered scans in each of six cells: NEES / dof, and coverage of the pose and of each axis within 90 to 98 %."""
+    """500 jittered scans in each of six cells: NEES, and coverage of the pose and of each axis within 90 to 98 %."""
     rows = run("consistency", SimulationSweep(
         TARGET, load_sensor("vlp32c"), ("global",), (5.0, 10.0, 20.0), noise=("sensor",), draws=500,
     ))  # fmt: skip
