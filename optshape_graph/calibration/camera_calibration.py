@@ -112,9 +112,13 @@ class CameraCalibration:
         return self.rig.range_bias[lidar], float(np.sqrt(self.uncertainty.covariance[row, row]))
 
     def edge_inset(self, lidar: str) -> float:
-        """Return the median azimuth from a ring's last return to the target's edge over a LiDAR's used scans, rad."""
+        """Return the median azimuth from a ring's last return to the target's edge over a LiDAR's used scans, rad.
+
+        Not a number where the clouds have no rings.
+        """
         scans = {id(result.view.scan): result.view.scan for result in self.views if result.used and result.view.scan}
-        return float(np.median([scan.edge_inset for scan in scans.values() if scan.lidar == lidar]))
+        insets = [scan.edge_inset for scan in scans.values() if scan.lidar == lidar and np.isfinite(scan.edge_inset)]
+        return float(np.median(insets)) if insets else float("nan")
 
     def pairs(self, lidar: str, camera: str) -> list[tuple[Sighting, Sighting]]:
         """Return the scans and images of the used views that the two sensors took together."""

@@ -148,10 +148,10 @@ def _lidar_pair(calibration: CameraCalibration, lidar: str) -> dict[str, Any]:
     return {"base": base, "T_base_lidar": T.tolist(), "covariance": covariance.tolist()}
 
 
-def _lidar_errors(calibration: CameraCalibration, lidar: str) -> dict[str, float]:
+def _lidar_errors(calibration: CameraCalibration, lidar: str) -> dict[str, float | None]:
     value, sigma = calibration.range_bias(lidar)
     inset = float(np.degrees(calibration.edge_inset(lidar)))
-    return {"range_bias_m": value, "range_bias_sigma_m": sigma, "edge_inset_deg": inset}
+    return {"range_bias_m": value, "range_bias_sigma_m": sigma, "edge_inset_deg": inset if np.isfinite(inset) else None}
 
 
 def _shape(lidar: str, shape: MeasuredShape) -> dict[str, Any]:

@@ -123,9 +123,10 @@ def _print(calibration: CameraCalibration) -> None:
             lines = static_transforms(lidar, camera, T_inverse)
             click.echo("\n".join([lines["ros1"], lines["ros2"], f"URDF: {lines['urdf']}"]))
             bias, sigma = calibration.range_bias(lidar)
+            inset = np.degrees(calibration.edge_inset(lidar))
+            lie = f"; its last returns lie {inset:.2f} deg inside the targets' edges" if np.isfinite(inset) else ""
             click.echo(
-                f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far); "
-                f"its last returns lie {np.degrees(calibration.edge_inset(lidar)):.2f} deg inside the targets' edges"
+                f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far){lie}"
             )
             click.echo(f"worst direction: {calibration.directions(lidar, camera)[0].text} (sd)")
             if (place := calibration.next_placement(lidar, camera)) is not None:

@@ -120,7 +120,7 @@ def _entry(path: Path, estimate: PoseEstimate) -> dict[str, Any]:
             "T_lidar_target": rival.tolist() if rival is not None else None,
         },
         "equivalent_poses": estimate.equivalent_poses.tolist() if usable else None,
-        "inset_rad": estimate.inset_rad,
+        "inset_rad": estimate.inset_rad if len(estimate.labels) else None,
         "labels": estimate.labels.tolist(),
         "edge_points": estimate.edge_points.points.tolist(),
         "n_returns": estimate.n_returns,

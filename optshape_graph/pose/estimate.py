@@ -157,7 +157,9 @@ class PoseEstimate:
 
     @property
     def inset_rad(self) -> float:
-        """Median azimuth from an edge point to the target's edge, along its ring, rad."""
+        """Median azimuth from an edge point to the target's edge, along its ring, rad; without rings not a number."""
+        if not len(self.labels):
+            return float("nan")
         outward = self.edge_points.outward(self.T_lidar_target[:3, 0])
         normal = np.column_stack([np.zeros(len(self.labels)), self.target.normals[self.labels]])
         R = self.T_target_lidar[:3, :3]

@@ -13,6 +13,7 @@ from optshape_graph import Scan
 from optshape_graph.cli.main import cli
 from optshape_graph.io import load_target, write_scan
 from tests.pose.clouds import simulated
+from tests.pose.rosettes import rosette
 
 KEYS = {
     "scan", "target", "status", "reason", "T_lidar_target", "covariance", "vertices", "certificate", "ambiguity",
@@ -118,3 +119,19 @@ def test_a_cloud_without_rings_and_without_a_sensor(tmp_path: Path) -> None:
     (entry,) = json.loads((tmp_path / "out.json").read_text())["scans"]
     assert entry["status"] == "failed"
     assert "rings" in entry["reason"]
+
+
+def test_a_cloud_without_rings(tmp_path: Path) -> None:
+    target = load_target("paper")
+    scan, T = rosette(target, 9.0, 8000, 1)
+    write_scan(tmp_path / "scan.pcd", scan)
+    result = run(
+        "estimate", tmp_path / "scan.pcd", "--target", "paper", "--json", tmp_path / "out.json", "--plot", tmp_path
+    )
+    assert result.exception is None, result.exception
+    assert result.return_value == 0
+    [entry] = json.loads((tmp_path / "out.json").read_text())["scans"]
+    assert entry["inset_rad"] is None
+    assert entry["edge_points"] == []
+    np.testing.assert_allclose(np.array(entry["T_lidar_target"])[:3, 3], T[:3, 3], atol=0.05)
+    assert (tmp_path / "scan_fit.png").exists()
