@@ -56,7 +56,7 @@ def command(
             progress(done, len(scans))
             try:
                 scan = read_scan(path, model)
-                estimate = estimate_pose(scan, template, method, backend)  # type: ignore[arg-type]
+                estimate = estimate_pose(scan, template, method, backend)  # type: ignore[arg-type]  # click checked them
             except (InputError, EstimationError) as error:
                 if isinstance(error, InputError):
                     unreadable.append(error)

@@ -102,7 +102,7 @@ def _parallel(workers: int, dask: str | None) -> Iterator[tuple[Any, Any]]:
             except ImportError as cause:
                 raise missing_extra("distributed", "dask", cause) from cause
             try:
-                stack.enter_context(Client(dask, timeout=SCHEDULER_TIMEOUT_S))  # type: ignore[no-untyped-call]
+                stack.enter_context(Client(dask, timeout=SCHEDULER_TIMEOUT_S))  # type: ignore[no-untyped-call]  # no stubs
             except (OSError, ValueError) as error:
                 raise InputError(f"no Dask scheduler answers at {dask} ({error})") from error
             stack.enter_context(joblib.parallel_config(backend="dask", n_jobs=-1))

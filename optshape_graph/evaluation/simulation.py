@@ -192,7 +192,7 @@ def run_simulation(
 
 def estimate_pose_by_method(scan: Scan, target: Target, method: str) -> Estimate:
     """`estimate_pose` with its method by position."""
-    return estimate_pose(scan, target, method=method)  # type: ignore[arg-type]
+    return estimate_pose(scan, target, method=method)  # type: ignore[arg-type]  # a Method
 
 
 def run_task(task: SweepTask) -> list[Row]:

@@ -114,7 +114,7 @@ def concatenate(a: Posterior, b: Posterior) -> Posterior:
     def both(name: str, one: object, other: object) -> Floats:
         return np.concatenate([getattr(one, name), getattr(other, name)])
 
-    geometry = EdgeGeometry(**{name: both(name, a.geometry, b.geometry) for name in vars(a.geometry)})  # type: ignore[arg-type]
+    geometry = EdgeGeometry(**{name: both(name, a.geometry, b.geometry) for name in vars(a.geometry)})  # type: ignore[arg-type]  # all are arrays
     rest = {name: both(name, a, b) for name in vars(a) if name != "geometry"}
     return Posterior(geometry=geometry, **rest)
 

@@ -40,7 +40,7 @@ def plot_graph(
     """
     figure = new_figure(9.0, 7.6)
     axes = plain(figure.subplots())
-    places = {key: place for key in values.keys() if (place := _place(values, key)) is not None}  # noqa: SIM118
+    places = {key: place for key in values.keys() if (place := _place(values, key)) is not None}  # noqa: SIM118 - no mapping
     kinds = _lines(axes, graph, places)
     letters = sorted({_letter(key) for key in places})
     rare = {c for c in letters if sum(_letter(key) == c for key in places) <= MOST_NAMES}

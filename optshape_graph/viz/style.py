@@ -120,7 +120,7 @@ def short(name: str) -> str:
 def outline(axes: Axes, polygon: Floats, colour: str = INK, **style: object) -> None:
     """Draw a closed polygon (n, 2), in the unit of the axes."""
     closed = np.vstack([polygon, polygon[:1]])
-    axes.plot(closed[:, 0], closed[:, 1], color=colour, **{"lw": 1.6, **style})  # type: ignore[arg-type]
+    axes.plot(closed[:, 0], closed[:, 1], color=colour, **{"lw": 1.6, **style})  # type: ignore[arg-type]  # any keyword
 
 
 def ellipse(covariance: Floats, sigmas: float) -> Floats:

@@ -43,7 +43,7 @@ def bound_rosbags() -> None:
     """Put bounded decompressors in the place of rosbags' own, once in a process."""
     from bz2 import BZ2Decompressor
 
-    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # no stubs
     from rosbags.rosbag1 import reader as rosbag1
     from rosbags.rosbag2 import reader as rosbag2
     from rosbags.rosbag2 import storage_mcap
