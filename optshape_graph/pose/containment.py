@@ -1,4 +1,4 @@
-"""Poses in the plane that contain the returns: what a cloud without rings says of its target.
+"""The door of clouds without rings (Livox, flash LiDARs, merged clouds): at which poses does the target contain them?
 
 Where nothing is known of the order in which rays were fired, a return says one thing of the outline: it lies inside, to
 within the beam. If the target was sampled evenly, every pose that contains all returns is as likely as any other: the
@@ -20,10 +20,20 @@ import numpy as np
 from scipy.special import ndtr
 
 from optshape_graph._arrays import Bools, Floats
+from optshape_graph.edges import EdgePoints
+from optshape_graph.errors import EstimationError
+from optshape_graph.factors.measurement import refine, template_rows
+from optshape_graph.factors.se3 import inverse
+from optshape_graph.factors.static import RANGE_BIAS, BiasedMeasurement, SharedError
+from optshape_graph.pose.association import ReturnsPlane, fit_plane, in_plane_poses
+from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, plane_measurement, returns_on_plane
+from optshape_graph.pose.options import PoseOptions
+from optshape_graph.pose.result import Ambiguity, Finding
+from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
-STRAY = 2e-3
-"""Share of returns that may lie anywhere: mixed with the background, or of something that touches the target."""
+BANDS = (4, 16, 64, 256)
+"""Into how many bands of elevation the returns are cut, at each of several scales, each band with a range bias."""
 
 REACH = 3.0
 """Standard deviations of the beam by which a return may lie outside where poses are looked for."""
@@ -33,6 +43,95 @@ _DIRECTIONS = np.radians(np.arange(0.0, 360.0, 1.0))
 _GRID = (21, 13, 13)  # angles and translations at which a posterior is evaluated
 _CERTAIN = 6.0  # standard deviations inside which a return surely is
 _SPAN = 4.0  # standard deviations to either side that the second evaluation covers
+
+
+def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Finding:
+    """Find a target's pose by all poses that contain the returns; see `estimate_pose`.
+
+    Raises:
+        EstimationError: no pose contains the returns.
+    """
+    plane = fit_plane(scan.points, None)
+    returns = _with_biases(returns_on_plane(scan, plane.axes[0], plane.distance, options=options), scan)
+    q = ((returns.points - plane.centre) @ plane.axes.T)[:, 1:]
+    beam = Beam.of(scan, options)
+    sets = containing_poses(q, beam, target, options.strays)
+    if not sets:
+        raise EstimationError(f"{scan.name}: at no pose does '{target.name}' contain the returns: not this target")
+    best = sets[0]
+    poses = in_plane_poses(np.array([one.mean[0] for one in sets]), np.array([one.mean[1:] for one in sets]), plane)
+
+    shared = _outline_measurement(best, plane) + plane_measurement(returns)
+    measurement = shared.marginal(1.0).at(poses[0])
+    margin, rival = (np.inf, None) if len(sets) == 1 else (best.log_mass - sets[1].log_mass, inverse(poses[1]))
+    outside = target.outside_distance(q @ _turn(best.mean[0]).T + best.mean[1:]) > REACH * (beam.sigma + beam.offset)
+    return Finding(
+        target=target,
+        returns=scan,
+        measurement=measurement.at(refine(measurement)),
+        shared=shared,
+        total_weight=float((1 / returns.sigma**2).sum() + np.trace(np.linalg.inv(best.covariance[1:, 1:]))),
+        ambiguity=Ambiguity(margin, rival),
+        log_likelihood=float(np.logaddexp.reduce([one.log_mass for one in sets]) - len(scan) * np.log(target.area)),
+        edge_points=EdgePoints.none(),
+        labels=np.zeros(0, dtype=np.int64),
+        inset=np.zeros(0),
+        edge_sigma=np.zeros(0),
+        edge_residuals=np.zeros(0),
+        objection=""
+        if outside.mean() <= options.max_outside
+        else f"{outside.mean():.0%} of the returns lie outside the outline: not this target, or returns are mixed",
+    )
+
+
+def _with_biases(returns: PlaneReturns, scan: Scan) -> PlaneReturns:
+    """Give the returns range biases at several scales.
+
+    Lasers, each with a range bias, are not told apart in the cloud, and a bias may drift with the direction: beside
+    one for all, bands of elevation, broad and narrow, stand for them. One scale alone would take the slopes within its
+    bands, or those between them, for certain.
+    """
+    elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
+    lowest, extent = float(elevation.min()), max(float(np.ptp(elevation)), 1e-9)
+    columns, errors = [returns.bias], [*returns.errors]
+    for count in BANDS:
+        band = np.minimum(((elevation - lowest) / extent * count).astype(int), count - 1)
+        found = np.unique(band)
+        columns.append(returns.bias * (band[:, None] == found) / np.sqrt(len(BANDS)))
+        limits = lowest + extent * np.column_stack([found, found + 1]) / count
+        errors += [SharedError(RANGE_BIAS, band=(low, high)) for low, high in limits.tolist()]
+    return replace(returns, bias=np.hstack(columns), errors=tuple(errors))
+
+
+def _outline_measurement(best: Containment, plane: ReturnsPlane) -> BiasedMeasurement:
+    """The posterior in the plane as whitened residuals that are linear in T_target_lidar.
+
+    With the posterior's target axes d, e in the plane, its axes a, b and its centre o, they are the turn
+    (e . R a - d . R b) / 2, which grows as its sine, and the target's (y, z) of o. The turn vanishes for mirrored and
+    opposite axes too; d . R a - 1 and e . R b - 1 tell those apart, and are of second order near the posterior.
+    """
+    o, a, b = plane.centre, plane.axes[1], plane.axes[2]
+    d, e = np.column_stack([np.zeros(2), _turn(best.mean[0]).T])
+    y, z = np.eye(3)[1:]
+
+    def axis(m: Floats, v: Floats) -> Floats:
+        """Row of m . R v: of m . (R p + t) at o + v, less that at o."""
+        ahead, here = template_rows(np.array([o + v, o]), np.array([m, m]), np.zeros(2))[0]
+        return np.asarray(ahead - here)
+
+    information = np.linalg.inv(best.covariance)
+    whiten = np.linalg.cholesky(information).T
+    centre = template_rows(np.array([o, o]), np.array([y, z]), np.zeros(2))[0]
+    turn = 0.5 * (axis(e, a) - axis(d, b))
+    way = np.sqrt(0.5 * information[0, 0]) * np.array([axis(d, a), axis(e, b)])
+    rows = np.vstack([whiten @ np.vstack([turn, centre]), way])
+    constants = np.concatenate([-whiten @ [0.0, *best.mean[1:]], -np.sqrt(0.5 * information[0, 0]) * np.ones(2)])
+    return BiasedMeasurement.from_rows(rows, np.zeros((5, 0)), constants, np.eye(4), [])
+
+
+def _turn(angle: float) -> Floats:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
 
 
 @dataclass(frozen=True)
@@ -47,6 +146,13 @@ class Beam:
 
     sigma: float
     offset: float
+
+    @classmethod
+    def of(cls, scan: Scan, options: PoseOptions) -> Beam:
+        """Take the sensor's beam at the returns' median range."""
+        noise = EdgeNoise.of(scan.sensor, options)
+        width = float(np.median(noise.width(np.linalg.norm(scan.points, axis=1))))
+        return cls(float(np.hypot(options.flatness, noise.OWN * width)), noise.COMMON * width)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,22 +170,23 @@ class Containment:
     log_mass: float
 
 
-def containing_poses(q: Floats, beam: Beam, target: Target) -> list[Containment]:
+def containing_poses(q: Floats, beam: Beam, target: Target, stray: float = PoseOptions.strays) -> list[Containment]:
     """Find every connected set of poses in which a target contains returns.
 
     Args:
         q: (N, 2) returns in their plane, metres; the axes are like the target's (y, z), the origin near their middle.
         beam: how far outside a return may lie.
         target: the template.
+        stray: share of returns that may lie anywhere.
 
     Returns:
         One posterior for each set, the most likely first; none where no pose contains the returns. Poses that a
         symmetry of the target turns into another's are listed once.
     """
-    strays = int(STRAY * len(q))
+    strays = int(stray * len(q))
     outer = q[_outermost(q, strays + 4)]
     room = _room(q, strays, target) + REACH * (beam.sigma + beam.offset)
-    sets = [_posterior(outer, beam, target, arc, strays) for arc in _arcs(room, target)]
+    sets = [_posterior(outer, beam, target, arc, strays, stray) for arc in _arcs(room, target)]
     return sorted(sets, key=lambda one: -one.log_mass)
 
 
@@ -145,7 +252,9 @@ def _arcs(room: Floats, target: Target) -> list[tuple[float, float]]:
     ]
 
 
-def _posterior(outer: Floats, beam: Beam, target: Target, arc: tuple[float, float], strays: int) -> Containment:
+def _posterior(
+    outer: Floats, beam: Beam, target: Target, arc: tuple[float, float], strays: int, stray: float
+) -> Containment:
     """Integrate the likelihood over one set of poses: once to find where it lies, once where it does.
 
     The offset that all edges share is none, or as much as it takes for the returns to fit in at all; those of each edge
@@ -158,7 +267,7 @@ def _posterior(outer: Floats, beam: Beam, target: Target, arc: tuple[float, floa
     share = beam.offset / np.sqrt(2)
 
     def moments(shift: Floats | float) -> Containment:
-        return _moments(outer, beam.sigma, target.normals, target.offsets + shift, angles, low, high)
+        return _moments(outer, beam.sigma, stray, target.normals, target.offsets + shift, angles, low, high)
 
     coarse = moments(common)
     n = len(target)
@@ -208,7 +317,14 @@ def _bounding_box(b: Floats, normals: Floats) -> tuple[Floats, Floats]:
 
 
 def _moments(
-    outer: Floats, sigma: float, normals: Floats, offsets: Floats, angles: Floats, low: Floats, high: Floats
+    outer: Floats,
+    sigma: float,
+    stray: float,
+    normals: Floats,
+    offsets: Floats,
+    angles: Floats,
+    low: Floats,
+    high: Floats,
 ) -> Containment:
     """Mass, mean and covariance of the likelihood on a grid: angles (K,), and translations between low and high."""
     fractions = [(np.arange(n) + 0.5) / n for n in _GRID[1:]]
@@ -223,7 +339,7 @@ def _moments(
         np.maximum(outside, (t @ n)[..., None] + along[:, None], out=outside)
     log_inside = np.zeros(outside.shape)
     near = outside > -_CERTAIN * sigma
-    log_inside[near] = np.log(STRAY + (1.0 - STRAY) * ndtr(-outside[near] / sigma))
+    log_inside[near] = np.log(stray + (1.0 - stray) * ndtr(-outside[near] / sigma))
     log_cell = np.log(np.maximum(np.prod(high - low, axis=1), 1e-18))[:, None]
     log_weight = log_inside.sum(axis=-1) + log_cell
     top = float(log_weight.max())
