@@ -27,18 +27,13 @@ from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.se3 import inverse, vec
 from optshape_graph.pose.options import PoseOptions
-from optshape_graph.pose.propagation import Posterior, Problem, own_variance
+from optshape_graph.pose.propagation import Posterior, Problem
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
 
 _PLACES = 24  # of the grid within a step that are averaged over
 _SEEN = 0.05  # a ring's place counts as known below this, in steps
 _REACH = 3.5  # standard deviations of a ring's place that count
-
-
-def vertices_in_lidar(T_target_lidar: Floats, vertices: Floats) -> Floats:
-    """Vertices (C, n, 3), LiDAR frame, of a target (n, 3) at poses (C, 4, 4)."""
-    return np.asarray((vertices - T_target_lidar[:, None, :3, 3]) @ T_target_lidar[:, :3, :3])
 
 
 def chords(vertices: Floats, elevations: Floats, reference_azimuth: float) -> tuple[Floats, Floats]:
@@ -71,7 +66,7 @@ def share_lost(edges: EdgePoints) -> float:
     return float((between - edges.n_rings + 1.0) / (between + 9.0))
 
 
-def missed_rings(edges: EdgePoints, sensor: SensorModel, vertices: Floats, lost_width: Floats) -> Floats:
+def missed_rings(problem: Problem, posterior: Posterior, ends: EdgePoints, sensor: SensorModel) -> Floats:
     """Logarithm of the probability (C,) that the rings without returns return nothing.
 
     A ring that crosses the target by less than a step may fall between two firings. Beyond that it must have been
@@ -79,17 +74,20 @@ def missed_rings(edges: EdgePoints, sensor: SensorModel, vertices: Floats, lost_
     highest that did return tell.
 
     Args:
-        edges: ends of the rings that returned.
+        problem: one target in one scan.
+        posterior: of C poses.
+        ends: of the rings that returned.
         sensor: whose table says which rings there are.
-        vertices: (C, n, 3) of the target, LiDAR frame, metres.
-        lost_width: (C,) how much narrower the target seems to the rings, beside quantisation, rad.
     """
-    lowest, highest = edges.ring[0], edges.ring[-1]
-    lost = share_lost(edges)
-    outer = np.delete(sensor.elevations, slice(lowest, highest + 1))
-    right, left = chords(vertices, outer, edges.reference_azimuth)
+    T, noise = posterior.T_target_lidar, problem.noise
+    vertices = (problem.target.vertices - T[:, None, :3, 3]) @ T[:, :3, :3]
+    ranges = np.linalg.norm(problem.edges.points, axis=1)
+    narrower = 2 * posterior.offset * float(np.mean(noise.width(ranges) / ranges))  # as the target seems to the rings
+    lost = share_lost(ends)
+    outer = np.delete(sensor.elevations, slice(ends.ring[0], ends.ring[-1] + 1))
+    right, left = chords(vertices, outer, ends.reference_azimuth)
     with np.errstate(invalid="ignore"):
-        steps = np.nan_to_num((left - right - lost_width[:, None]) / edges.azimuth_step, neginf=0.0)
+        steps = np.nan_to_num((left - right - narrower[:, None]) / ends.azimuth_step, neginf=0.0)
     unseen = np.clip(1.0 - steps, 0.0, 1.0)
     return np.asarray(np.log(unseen * (1 - lost) + lost).sum(axis=1))
 
@@ -125,7 +123,7 @@ def exit_probability(problem: Problem, posterior: Posterior) -> Floats:
     normal = np.concatenate([np.zeros((*worst.shape, 1)), problem.target.normals[worst]], axis=-1) @ R
     J = np.concatenate([np.cross(_boundary(problem, posterior), normal), normal], axis=-1)
     variance = ((J @ posterior.covariance) * J).sum(axis=-1)
-    variance += own_variance(problem, posterior.geometry)
+    variance += posterior.geometry.own
     inside = log_ndtr(-np.take_along_axis(beyond, worst[..., None], axis=-1)[..., 0] / np.sqrt(variance))
     return np.asarray(np.maximum(inside, np.log(0.1 * problem.noise.options.lost_ends)).sum(axis=1))
 

@@ -8,14 +8,14 @@ is known, of beams without width, poses are drawn about each mode and the likeli
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import gtsam
 import numpy as np
 from scipy.special import gammaln, logsumexp
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.se3 import inverse, inverse_covariance, skew
@@ -25,7 +25,6 @@ from optshape_graph.pose.likelihood import (
     exit_probability,
     missed_rings,
     scan_log_likelihood,
-    vertices_in_lidar,
 )
 from optshape_graph.pose.propagation import Posterior, Problem, concatenate, propagate
 from optshape_graph.scan import Scan
@@ -56,23 +55,6 @@ _ENOUGH = 100  # effective samples
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
-    """Posteriors, each with its own association, and their log likelihoods, best first.
-
-    Attributes:
-        posterior: C of them.
-        score: (C,) log likelihoods.
-    """
-
-    posterior: Posterior
-    score: Floats
-
-    def select(self, index: Ints) -> Candidates:
-        """Return some of them, at indices (K,), in another order."""
-        return Candidates(self.posterior.select(index), self.score[index])
-
-
-@dataclass(frozen=True, eq=False)
 class Modes:
     """The best mode, and what else it might be.
 
@@ -84,7 +66,7 @@ class Modes:
         rival: (4, 4) T_lidar_target of the next, or None.
     """
 
-    candidates: Candidates
+    candidates: Posterior
     best: Bools
     margin: float = np.inf
     rival: Floats | None = None
@@ -92,7 +74,7 @@ class Modes:
     @property
     def weights(self) -> Floats:
         """(C,) probability of each association, within the best mode; those below a thousandth count as 0."""
-        score = self.candidates.score
+        score = self.candidates.log_likelihood
         weight = np.where(self.best, np.exp(np.minimum(score - score[0], 0.0)), 0.0)
         weight[weight < 1e-3] = 0.0
         return np.asarray(weight / weight.sum())
@@ -100,11 +82,11 @@ class Modes:
     @property
     def log_likelihood(self) -> float:
         """Log likelihood of the best mode, all its associations together."""
-        return float(np.logaddexp.reduce(self.candidates.score[self.best]))
+        return float(np.logaddexp.reduce(self.candidates.log_likelihood[self.best]))
 
 
-def rank(problem: Problem, starts: Floats, scan: Scan, ends: EdgePoints) -> Candidates:
-    """Find the posterior and log likelihood of each start, best first, each association once.
+def rank(problem: Problem, starts: Floats, scan: Scan, ends: EdgePoints) -> Posterior:
+    """Find the posterior about each start, likeliest first, each association once.
 
     A first round tells the starts apart. A second works out the best and the associations next to it.
 
@@ -117,39 +99,35 @@ def rank(problem: Problem, starts: Floats, scan: Scan, ends: EdgePoints) -> Cand
     Raises:
         EstimationError: no pose explains the returns.
     """
-    first = _scored(problem, propagate(problem, starts, relinearisations=1, sweeps=2), scan, ends)
-    best = first.posterior.select(slice(0, 1))
+    first = _judged(propagate(problem, starts, relinearisations=1, sweeps=2), problem, scan, ends)
+    best = first.select(slice(0, 1))
     labels = np.vstack([best.geometry.labels, alternative_labels(problem, best, ALTERNATIVES)])
     T = np.repeat(best.T_target_lidar, len(labels), axis=0)
-    second = _scored(problem, propagate(problem, T, relinearisations=1, labels=labels, sweeps=4), scan, ends)
-    merged = concatenate(second.posterior, first.posterior)
-    return _distinct(merged, np.concatenate([second.score, first.score]))
+    second = _judged(propagate(problem, T, relinearisations=1, labels=labels, sweeps=4), problem, scan, ends)
+    return _distinct(concatenate(second, first))
 
 
-def _scored(problem: Problem, posterior: Posterior, scan: Scan, ends: EdgePoints) -> Candidates:
-    score = posterior.log_evidence + exit_probability(problem, posterior)
+def _judged(posterior: Posterior, problem: Problem, scan: Scan, ends: EdgePoints) -> Posterior:
+    """Add to the likelihoods what the posteriors leave out; likeliest first."""
+    score = posterior.log_likelihood + exit_probability(problem, posterior)
     if scan.sensor is not None:
-        vertices = vertices_in_lidar(posterior.T_target_lidar, problem.target.vertices)
-        ranges = np.linalg.norm(problem.edges.points, axis=1)
-        lost_width = 2 * posterior.offset * float(np.mean(problem.noise.width(ranges) / ranges))
-        score = score + missed_rings(ends, scan.sensor, vertices, lost_width)
+        score = score + missed_rings(problem, posterior, ends, scan.sensor)
     score = np.where(np.isfinite(score), score, -np.inf)
     if not np.isfinite(score).any():
         raise EstimationError(f"{scan.name}: no pose explains the returns")
-    return _distinct(posterior, score)
+    return _distinct(replace(posterior, log_likelihood=score))
 
 
-def _distinct(posterior: Posterior, score: Floats) -> Candidates:
-    """Each association once, as first listed; best first."""
+def _distinct(posterior: Posterior) -> Posterior:
+    """Each association once, as first listed; likeliest first."""
     firsts: dict[bytes, int] = {}
     for k, labels in enumerate(posterior.geometry.labels):
         firsts.setdefault(labels.tobytes(), k)
     index = np.array(list(firsts.values()))
-    kept = index[np.argsort(-score[index], kind="stable")]
-    return Candidates(posterior.select(kept), score[kept])
+    return posterior.select(index[np.argsort(-posterior.log_likelihood[index], kind="stable")])
 
 
-def compare_modes(candidates: Candidates, problem: Problem, scan: Scan, ends: EdgePoints) -> Modes:
+def compare_modes(candidates: Posterior, problem: Problem, scan: Scan, ends: EdgePoints) -> Modes:
     """Gather candidates in modes, and compare the best with the next.
 
     Args:
@@ -164,19 +142,19 @@ def compare_modes(candidates: Candidates, problem: Problem, scan: Scan, ends: Ed
     return modes_by_association(candidates, problem.target)
 
 
-def modes_by_association(candidates: Candidates, target: Target) -> Modes:
+def modes_by_association(candidates: Posterior, target: Target) -> Modes:
     """Take the likelihoods of the associations for what they are; the rival is the best outside the best's mode."""
-    best = same_mode(candidates.posterior, target)
+    best = same_mode(candidates, target)
     others = np.flatnonzero(~best)
     if not len(others):
         return Modes(candidates, best)
-    score = candidates.score
+    score = candidates.log_likelihood
     rival = others[score[others].argmax()]
     margin = float(np.logaddexp.reduce(score[best]) - score[rival])
-    return Modes(candidates, best, margin, inverse(candidates.posterior.T_target_lidar[rival]))
+    return Modes(candidates, best, margin, inverse(candidates.T_target_lidar[rival]))
 
 
-def modes_by_samples(candidates: Candidates, problem: Problem, firings: Firings) -> Modes:
+def modes_by_samples(candidates: Posterior, problem: Problem, firings: Firings) -> Modes:
     """Compare the modes that are in the running by samples of the likelihood itself.
 
     Args:
@@ -190,7 +168,7 @@ def modes_by_samples(candidates: Candidates, problem: Problem, firings: Firings)
         return modes_by_association(candidates, problem.target)
     found: list[tuple[SampledMode, Bools]] = []
     for members in groups:
-        first = candidates.posterior.select(np.flatnonzero(members)[:1])
+        first = candidates.select(np.flatnonzero(members)[:1])
         mode = sample_mode(first.T_target_lidar[0], first.covariance[0], problem, firings)
         # Samples may wander off to a mode that is there already.
         known = next((k for k, (other, _) in enumerate(found) if _meet(mode, other)), None)
@@ -201,14 +179,12 @@ def modes_by_samples(candidates: Candidates, problem: Problem, firings: Firings)
             found[known] = max(mode, other, key=lambda m: m.effective), rest | members
     found.sort(key=lambda entry: -entry[0].log_evidence)
     if few:
-        best = candidates.posterior.select(np.flatnonzero(found[0][1])[:1])
+        best = candidates.select(np.flatnonzero(found[0][1])[:1])
         turned = _half_turn(best.T_target_lidar, problem)
         mode = sample_mode(turned.T_target_lidar[0], turned.covariance[0], problem, firings)
         if not any(_meet(mode, other) for other, _ in found):
-            alone = np.append(np.zeros(len(candidates.score), dtype=bool), True)
-            candidates = Candidates(
-                concatenate(candidates.posterior, turned), np.append(candidates.score, turned.log_evidence)
-            )
+            alone = np.append(np.zeros(len(members), dtype=bool), True)
+            candidates = concatenate(candidates, turned)
             found = [(other, np.append(members, False)) for other, members in found] + [(mode, alone)]
             found.sort(key=lambda entry: -entry[0].log_evidence)
     if len(found) < 2:
@@ -224,14 +200,14 @@ def _half_turn(T_target_lidar: Floats, problem: Problem) -> Posterior:
     return propagate(problem, np.diag([1.0, -1.0, -1.0, 1.0]) @ T_target_lidar, relinearisations=4, sweeps=2)
 
 
-def _groups(candidates: Candidates, target: Target) -> list[Bools]:
+def _groups(candidates: Posterior, target: Target) -> list[Bools]:
     """(C,) members of each mode that is in the running, best first."""
-    left = candidates.score > candidates.score[0] - COMPETING
+    left = candidates.log_likelihood > candidates.log_likelihood[0] - COMPETING
     groups: list[Bools] = []
     while left.any() and len(groups) < MOST_MODES:
         order = np.argsort(~left, kind="stable")
         members = np.zeros(len(left), dtype=bool)
-        members[order] = same_mode(candidates.posterior.select(order), target)
+        members[order] = same_mode(candidates.select(order), target)
         groups.append(members & left)
         left &= ~members
     return groups

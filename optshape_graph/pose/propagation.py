@@ -15,7 +15,10 @@ worked on at once.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -55,6 +58,23 @@ class Problem:
     plane: Floats
     noise: EdgeNoise
 
+    @cached_property
+    def ring_shifts(self) -> Floats:
+        """(M, K) outward motion, rad, of each edge point for a standard deviation of each noisy ring's shift."""
+        edges = self.edges
+        noisy = np.unique(edges.ring[edges.shift > 0])
+        return np.asarray((edges.ring[:, None] == noisy) * (edges.side * edges.shift)[:, None])
+
+    @cached_property
+    def intervals(self) -> Floats:
+        """(2, 2, M) ends of where the boundary may be beyond each edge point, rad.
+
+        First for a ring's last return; then for an end that is not its last return.
+        """
+        edges, (first, last) = self.edges, self.noise.options.lost_span
+        step = np.maximum(edges.width, edges.azimuth_step)
+        return np.array([[edges.lower, edges.upper], [edges.lower + first * step, edges.lower + last * step]])
+
 
 @dataclass(frozen=True, eq=False)
 class EdgeGeometry:
@@ -68,7 +88,7 @@ class EdgeGeometry:
         along: (C, M) how fast it grows along the ring, outwards, metres per radian.
         across: (C, M) how fast it grows with the offset across the edge, metres per beam width.
         shift: (C, M) how much further out the last return lies than a single ray would, metres.
-        scatter: (C, M) its own scatter across the edge, relative to that of a single ray.
+        own: (C, M) variance across the edge that is each edge point's own, quantisation apart, m2.
     """
 
     labels: Ints
@@ -77,7 +97,7 @@ class EdgeGeometry:
     along: Floats
     across: Floats
     shift: Floats
-    scatter: Floats
+    own: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +112,8 @@ class Posterior:
         inset: (C, M) distance along the ring from each edge point to the boundary, rad, offset and shift apart.
         shift: (C, M) outward motion of each edge point with its ring, where azimuths are noisy, rad.
         sigma: (C, M) standard deviation across the edge, metres, that stands for each interval.
-        log_evidence: (C,) logarithm of the probability of the edge points, up to a constant of the scan.
+        log_likelihood: (C,) logarithm of the probability of the edge points, and of what else of the scan was taken
+            into account, up to a constant of the scan.
     """
 
     T_target_lidar: Floats
@@ -102,24 +123,27 @@ class Posterior:
     inset: Floats
     shift: Floats
     sigma: Floats
-    log_evidence: Floats
+    log_likelihood: Floats
 
     def select(self, index: Ints | slice) -> Posterior:
         """Return some of the posteriors: a slice of them, or those at indices (K,)."""
-        geometry = EdgeGeometry(**{name: value[index] for name, value in vars(self.geometry).items()})
-        rest = {name: value[index] for name, value in vars(self).items() if name != "geometry"}
-        return Posterior(geometry=geometry, **rest)
+        return _made(lambda values: values[0][index], self)
 
 
 def concatenate(a: Posterior, b: Posterior) -> Posterior:
     """Return the posteriors of both."""
+    return _made(np.concatenate, a, b)
 
-    def both(name: str, one: object, other: object) -> Floats:
-        return np.concatenate([getattr(one, name), getattr(other, name)])
 
-    geometry = EdgeGeometry(**{name: both(name, a.geometry, b.geometry) for name in vars(a.geometry)})  # type: ignore[arg-type]  # all are arrays
-    rest = {name: both(name, a, b) for name in vars(a) if name != "geometry"}
-    return Posterior(geometry=geometry, **rest)
+def _made(make: Callable[[list[Floats]], Floats], *posteriors: Posterior) -> Posterior:
+    """Make each array of a posterior, those of its geometry included, of the same arrays of some others."""
+
+    def arrays(records: Sequence[Posterior | EdgeGeometry]) -> dict[str, Any]:
+        names = [name for name in vars(records[0]) if name != "geometry"]
+        return {name: make([getattr(record, name) for record in records]) for name in names}
+
+    geometry = EdgeGeometry(**arrays([posterior.geometry for posterior in posteriors]))
+    return Posterior(geometry=geometry, **arrays(posteriors))
 
 
 def edge_geometry(problem: Problem, T: Floats, labels: Ints | None = None) -> EdgeGeometry:
@@ -151,7 +175,9 @@ def edge_geometry(problem: Problem, T: Floats, labels: Ints | None = None) -> Ed
         along=along,
         across=across,
         shift=shift,
-        scatter=scatter,
+        own=problem.noise.options.flatness**2
+        + (problem.noise.OWN * scatter * across) ** 2
+        + (edges.scatter * along) ** 2,
     )
 
 
@@ -192,24 +218,10 @@ def propagate(
         step, posterior = _sweep(problem, T, geometry, offset, inset, spread, sweeps)
         inset, offset = posterior.inset, posterior.offset
         along = np.maximum(np.abs(geometry.along), 1e-3 * np.linalg.norm(problem.edges.points, axis=1))
-        spread = np.maximum(posterior.sigma**2 - own_variance(problem, geometry), 1e-8 * along**2 * width**2) / along**2
+        spread = np.maximum(posterior.sigma**2 - geometry.own, 1e-8 * along**2 * width**2) / along**2
         largest = np.abs(step[:, :3]).max(axis=1, initial=0.0)
         T = T @ _exp(step * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))[:, None])
     return replace(posterior, T_target_lidar=T)
-
-
-def own_variance(problem: Problem, geometry: EdgeGeometry) -> Floats:
-    """(C, M) variance across the edge that is each edge point's own, quantisation apart, m2."""
-    along = problem.edges.scatter * geometry.along
-    return np.asarray(
-        problem.noise.options.flatness**2 + (problem.noise.OWN * geometry.scatter * geometry.across) ** 2 + along**2
-    )
-
-
-def ring_shifts(edges: EdgePoints) -> Floats:
-    """(M, K) outward motion, rad, of each edge point for a standard deviation of each noisy ring's shift."""
-    noisy = np.unique(edges.ring[edges.shift > 0])
-    return np.asarray((edges.ring[:, None] == noisy) * (edges.side * edges.shift)[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,8 +269,8 @@ def posterior_step(
         sweeps: at most so many updates.
         settled: relative change of every precision below which more updates change nothing.
     """
-    own, s = own_variance(problem, geometry), geometry.along
-    lower, upper, log_density = _intervals(s, problem)
+    own, s = geometry.own, geometry.along
+    lower, upper, log_density = _residual_intervals(s, problem)
     tau = 1.0 / (own + spread * s**2)
     nu = -tau * inset * s
     Jt = np.swapaxes(J, 1, 2)
@@ -301,7 +313,7 @@ def _sweep(
 ) -> tuple[Floats, Posterior]:
     """Update all edge points at fixed linearisation; the step of the poses' means, and the posteriors."""
     points, m = problem.edges.points, geometry.direction @ T[:, :3, :3]
-    s, by_shift = geometry.along, ring_shifts(problem.edges)
+    s, by_shift = geometry.along, problem.ring_shifts
     columns = [np.cross(points, m), m, geometry.across[..., None], s[..., None] * by_shift]
     J = np.concatenate(columns, axis=-1)
     r = geometry.residual + offset[:, None] * geometry.across
@@ -321,10 +333,10 @@ def _sweep(
         covariance=np.asarray(step.covariance[:, :6, :6]),
         offset=offset + step.mean[:, 6],
         geometry=geometry,
-        inset=np.clip(-(step.information / step.precision) / fast, *_lost_interval(problem)),
+        inset=np.clip(-(step.information / step.precision) / fast, *problem.intervals[1]),
         shift=step.mean[:, 7:] @ by_shift.T,
         sigma=1.0 / np.sqrt(step.precision),
-        log_evidence=step.log_evidence,
+        log_likelihood=step.log_evidence,
     )
     return step.mean[:, :6], posterior
 
@@ -336,28 +348,20 @@ def _log_ratio(cavity_mean: Floats, cavity_variance: Floats, tau: Floats, nu: Fl
     return np.asarray(np.log(total / precision) - shift**2 / total + cavity_mean**2 * precision)
 
 
-def _lost_interval(problem: Problem) -> tuple[Floats, Floats]:
-    """Ends (M,), (M,) of where the boundary lies beyond a ring end that is not its last return, rad."""
-    edges, (first, last) = problem.edges, problem.noise.options.lost_span
-    step = np.maximum(edges.width, edges.azimuth_step)
-    return edges.lower + first * step, edges.lower + last * step
-
-
-def _intervals(along: Floats, problem: Problem) -> tuple[Floats, Floats, Floats]:
+def _residual_intervals(along: Floats, problem: Problem) -> tuple[Floats, Floats, Floats]:
     """Where the residual of a boundary point lies (2, C, M): within its interval, or, for a lost return, about it.
 
     Densities are per step. A point that leaves its edge inwards cannot have ended there: its first interval is
     empty of weight.
     """
     edges, options = problem.edges, problem.noise.options
-    ends = np.array([[edges.lower, edges.upper], _lost_interval(problem)])[:, :, None]
-    residuals = -ends * along
+    residuals = -problem.intervals[:, :, None] * along
     lower, upper = residuals.min(axis=1) - 1e-7, residuals.max(axis=1) + 1e-7
-    shape = (2, *along.shape)
-    log_density = np.log([[1 - options.lost_ends], [options.lost_ends / (options.lost_span[1] - options.lost_span[0])]])
-    log_density = np.broadcast_to(log_density[..., None], shape).copy()
-    log_density[0] -= np.log(edges.width / np.maximum(edges.width, edges.azimuth_step))
+    span = options.lost_span[1] - options.lost_span[0]
+    log_density = np.zeros((2, *along.shape))
+    log_density[0] = np.log(1 - options.lost_ends) - np.log(edges.width / np.maximum(edges.width, edges.azimuth_step))
     log_density[0] -= np.where(along > 0, 0.0, 20.0)
+    log_density[1] = np.log(options.lost_ends / span)
     return lower, upper, log_density
 
 

@@ -22,7 +22,7 @@ from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
 from optshape_graph.pose.modes import Modes, compare_modes, log, rank
 from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
-from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry, own_variance, ring_shifts
+from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry
 from optshape_graph.pose.result import Ambiguity, Finding
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
@@ -50,7 +50,7 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
     measurement = shared.marginal(1.0)
     measurement = _widen(measurement.at(refine(measurement)), modes)
 
-    best, n = modes.candidates.posterior.select(slice(0, 1)), len(edges)
+    best, n = modes.candidates.select(slice(0, 1)), len(edges)
     final = edge_geometry(problem, measurement.T_target_lidar[None], best.geometry.labels)
     return Finding(
         target=target,
@@ -103,7 +103,7 @@ def _edge_measurement(problem: Problem, modes: Modes) -> tuple[BiasedMeasurement
     Returns:
         The measurement, and the sum of 1 / sigma^2, 1/m2.
     """
-    weight, posterior = modes.weights, modes.candidates.posterior
+    weight, posterior = modes.weights, modes.candidates
     covariance = posterior.covariance
     mean = np.einsum("c,cij->ij", weight, covariance)
     weight = weight / np.trace(np.linalg.solve(covariance, mean), axis1=1, axis2=2)
@@ -118,7 +118,7 @@ def _edge_measurement(problem: Problem, modes: Modes) -> tuple[BiasedMeasurement
         )
         offset = geometry.across[0] * problem.noise.COMMON
         whitened = np.column_stack([offset, A, r]) / sigma[:, None]
-        shifts = _without_shifts(ring_shifts(problem.edges) * (geometry.along[0] / sigma)[:, None])
+        shifts = _without_shifts(problem.ring_shifts * (geometry.along[0] / sigma)[:, None])
         rows.append(np.sqrt(weight[k]) * shifts @ whitened)
         total += float(weight[k] * (1 / sigma**2).sum())
     stack = np.vstack(rows)
@@ -145,7 +145,7 @@ def _widen(measurement: TemplateMeasurement, modes: Modes) -> TemplateMeasuremen
     The covariance of the mixture about the estimate, averaged over directions, is the measurement's own times a
     factor of at least 1.
     """
-    weight, posterior = modes.weights, modes.candidates.posterior
+    weight, posterior = modes.weights, modes.candidates
     rows = np.flatnonzero(weight)
     if len(rows) == 1:
         return measurement
@@ -162,7 +162,7 @@ def _objection(problem: Problem, geometry: EdgeGeometry, offset: float, min_expl
     along = geometry.along[0]
     boundary = geometry.residual[0] + offset * geometry.across[0] + along * problem.edges.middle
     half = np.abs(along) * 0.5 * problem.edges.width
-    scatter = np.sqrt(own_variance(problem, geometry)[0] + (problem.edges.shift * along) ** 2)
+    scatter = np.sqrt(geometry.own[0] + (problem.edges.shift * along) ** 2)
     explained = np.abs(boundary) < half + 3 * scatter
     if explained.mean() >= min_explained:
         return ""

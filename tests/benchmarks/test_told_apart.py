@@ -15,7 +15,7 @@ from optshape_graph.factors.se3 import inverse
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import PoseOptions, estimate_pose
 from optshape_graph.pose.noise import EdgeNoise
-from optshape_graph.pose.propagation import Problem, edge_geometry, own_variance, truncated_moments
+from optshape_graph.pose.propagation import Problem, edge_geometry, truncated_moments
 from optshape_graph.simulation import NoiseModel, simulate_target
 from tests.detection.scenes import pose, scan_of
 
@@ -70,7 +70,7 @@ def test_told_apart(name: str) -> None:
 def log_likelihood(problem: Problem, T_target_lidar: np.ndarray) -> float:
     """Of the ring ends at a known pose, the offset across the edges being anything within the beam."""
     geometry, edges = edge_geometry(problem, T_target_lidar[None]), problem.edges
-    own, along = own_variance(problem, geometry)[0], geometry.along[0]
+    own, along = geometry.own[0], geometry.along[0]
     step = np.maximum(edges.width, edges.azimuth_step)
     lost = edges.lower + PoseOptions.lost_span[0] * step, edges.lower + PoseOptions.lost_span[1] * step
     span = PoseOptions.lost_span[1] - PoseOptions.lost_span[0]
