@@ -21,8 +21,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError, missing_extra
-from optshape_graph.factors.measurement import TemplateMeasurement
-from optshape_graph.factors.se3 import skew
+from optshape_graph.factors.measurement import TemplateMeasurement, refine
 
 Backend = Literal["clarabel", "cvxpy"]
 
@@ -54,13 +53,11 @@ class Relaxation:
         T_target_lidar: (4, 4) a local minimum of the cost.
         cost: the cost there.
         bound: no pose costs less than this.
-        second_eigenvalue: see `Bound`.
     """
 
     T_target_lidar: Floats
     cost: float
     bound: float
-    second_eigenvalue: float
 
 
 def rotation_constraints() -> Floats:
@@ -192,56 +189,15 @@ def lower_bound(Q: Floats, backend: Backend = "clarabel") -> Bound:
 def solve_relaxation(Q: Floats, backend: Backend = "clarabel") -> Relaxation:
     """Minimise a quadratic cost over all rigid transforms by its relaxation; see `lower_bound`."""
     dual = lower_bound(Q, backend)
-    form, K = eliminate_translation(Q)
+    _, K = eliminate_translation(Q)
     leading = np.linalg.eigh(dual.X)[1][:, -1]
-    R = refine_rotation(form, project_rotation((leading[:9] / leading[9]).reshape(3, 3).T))
-    x = np.append(R.T.ravel(), 1.0)
+    R = project_rotation((leading[:9] / leading[9]).reshape(3, 3).T)
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, K @ x
-    return Relaxation(T, float(x @ form @ x), dual.bound, dual.second_eigenvalue)
-
-
-def refine_rotation(form: Floats, R: Floats, iterations: int = 20) -> Floats:
-    """Minimise x^T F x, x = [vec R; 1], over rotations near R by Gauss-Newton steps that never go up.
-
-    Args:
-        form: (10, 10) matrix F.
-        R: (3, 3) rotation to start from.
-        iterations: at most so many steps.
-
-    Returns:
-        (3, 3) rotation.
-    """
-    cost, damping = _rotation_cost(form, R), 1e-12
-    for _ in range(iterations):
-        # Column j of R [w]x is -R [e_j]x w: (9, 3), vec R being column-major.
-        D = (-R @ skew(np.eye(3))).reshape(9, 3)
-        gradient = D.T @ (form[:9] @ np.append(R.T.ravel(), 1.0))
-        hessian = D.T @ form[:9, :9] @ D
-        step = -np.linalg.solve(hessian + damping * np.trace(hessian) * np.eye(3), gradient)
-        candidate = R @ _rotation_exp(step)
-        candidate_cost = _rotation_cost(form, candidate)
-        small = np.abs(step).max() < 1e-9
-        if candidate_cost <= cost:
-            R, cost, damping = candidate, candidate_cost, max(damping / 10, 1e-12)
-        else:
-            damping = max(10 * damping, 1e-4)
-        if small or damping > 1e3:
-            break
-    return R
-
-
-def _rotation_cost(form: Floats, R: Floats) -> float:
-    x = np.append(R.T.ravel(), 1.0)
-    return float(x @ form @ x)
-
-
-def _rotation_exp(w: Floats) -> Floats:
-    angle = float(np.linalg.norm(w))
-    W = skew(w)
-    if angle < 1e-8:
-        return project_rotation(np.eye(3) + W)
-    return np.asarray(np.eye(3) + np.sin(angle) / angle * W + (1 - np.cos(angle)) / angle**2 * W @ W)
+    T[:3, :3], T[:3, 3] = R, K @ np.append(R.T.ravel(), 1.0)
+    values, vectors = np.linalg.eigh(Q)
+    measurement = TemplateMeasurement.from_stack(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, 13, T)
+    T = refine(measurement)
+    return Relaxation(T, 2.0 * measurement.error(T), dual.bound)
 
 
 @dataclass(frozen=True)

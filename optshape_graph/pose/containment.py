@@ -55,7 +55,7 @@ def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Fin
     returns = _with_biases(returns_on_plane(scan, plane.axes[0], plane.distance, options=options), scan)
     q = ((returns.points - plane.centre) @ plane.axes.T)[:, 1:]
     beam = Beam.of(scan, options)
-    sets = containing_poses(q, beam, target, options.strays)
+    sets = containing_poses(q, beam, target)
     if not sets:
         raise EstimationError(f"{scan.name}: at no pose does '{target.name}' contain the returns: not this target")
     best = sets[0]
@@ -134,6 +134,12 @@ def _turn(angle: float) -> Floats:
     return np.array([[c, -s], [s, c]])
 
 
+def _turned(q: Floats, angles: Floats) -> Floats:
+    """(2, K, N) points (N, 2), turned by each of K angles."""
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    return np.stack([c * q[:, 0] - s * q[:, 1], s * q[:, 0] + c * q[:, 1]])
+
+
 @dataclass(frozen=True)
 class Beam:
     """How far outside the outline a return may lie.
@@ -142,17 +148,19 @@ class Beam:
         sigma: standard deviation of each return's own, metres.
         offset: standard deviation of what the returns along an edge share, metres: half of its variance is common to
             all edges, as if the target were larger or smaller, and half an edge's own.
+        stray: share of returns that may lie anywhere.
     """
 
     sigma: float
     offset: float
+    stray: float = PoseOptions.strays
 
     @classmethod
     def of(cls, scan: Scan, options: PoseOptions) -> Beam:
         """Take the sensor's beam at the returns' median range."""
         noise = EdgeNoise.of(scan.sensor, options)
         width = float(np.median(noise.width(np.linalg.norm(scan.points, axis=1))))
-        return cls(float(np.hypot(options.flatness, noise.OWN * width)), noise.COMMON * width)
+        return cls(float(np.hypot(options.flatness, noise.OWN * width)), noise.COMMON * width, options.strays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,23 +178,22 @@ class Containment:
     log_mass: float
 
 
-def containing_poses(q: Floats, beam: Beam, target: Target, stray: float = PoseOptions.strays) -> list[Containment]:
+def containing_poses(q: Floats, beam: Beam, target: Target) -> list[Containment]:
     """Find every connected set of poses in which a target contains returns.
 
     Args:
         q: (N, 2) returns in their plane, metres; the axes are like the target's (y, z), the origin near their middle.
         beam: how far outside a return may lie.
         target: the template.
-        stray: share of returns that may lie anywhere.
 
     Returns:
         One posterior for each set, the most likely first; none where no pose contains the returns. Poses that a
         symmetry of the target turns into another's are listed once.
     """
-    strays = int(stray * len(q))
+    strays = int(beam.stray * len(q))
     outer = q[_outermost(q, strays + 4)]
     room = _room(q, strays, target) + REACH * (beam.sigma + beam.offset)
-    sets = [_posterior(outer, beam, target, arc, strays, stray) for arc in _arcs(room, target)]
+    sets = [_posterior(outer, beam, target, arc, strays) for arc in _arcs(room, target)]
     return sorted(sets, key=lambda one: -one.log_mass)
 
 
@@ -200,9 +207,7 @@ def _outermost(q: Floats, count: int) -> Bools:
 
 def _support(q: Floats, angles: Floats, strays: int, target: Target) -> Floats:
     """(K, n) how far the returns, turned by each angle, reach along each edge's normal, `strays` of them left out."""
-    c, s = np.cos(angles), np.sin(angles)
-    turned = np.stack([c[:, None] * q[:, 0] - s[:, None] * q[:, 1], s[:, None] * q[:, 0] + c[:, None] * q[:, 1]])
-    along = np.einsum("ne,ekm->knm", target.normals, turned)
+    along = np.einsum("ne,ekm->knm", target.normals, _turned(q, angles))
     return np.asarray(np.partition(along, len(q) - 1 - strays, axis=2)[:, :, len(q) - 1 - strays])
 
 
@@ -252,9 +257,7 @@ def _arcs(room: Floats, target: Target) -> list[tuple[float, float]]:
     ]
 
 
-def _posterior(
-    outer: Floats, beam: Beam, target: Target, arc: tuple[float, float], strays: int, stray: float
-) -> Containment:
+def _posterior(outer: Floats, beam: Beam, target: Target, arc: tuple[float, float], strays: int) -> Containment:
     """Integrate the likelihood over one set of poses: once to find where it lies, once where it does.
 
     The offset that all edges share is none, or as much as it takes for the returns to fit in at all; those of each edge
@@ -267,7 +270,7 @@ def _posterior(
     share = beam.offset / np.sqrt(2)
 
     def moments(shift: Floats | float) -> Containment:
-        return _moments(outer, beam.sigma, stray, target.normals, target.offsets + shift, angles, low, high)
+        return _moments(outer, beam, target.normals, target.offsets + shift, angles, low, high)
 
     coarse = moments(common)
     n = len(target)
@@ -275,9 +278,8 @@ def _posterior(
     half[0] = min(half[0], np.pi / len(target.symmetries))
     angles = coarse.mean[0] + np.linspace(-half[0], half[0], _GRID[0])
     box = np.broadcast_to(half[1:], (len(angles), 2))
-    c, s = np.cos(coarse.mean[0]), np.sin(coarse.mean[0])
     moved = np.hypot(*half[1:]) + half[0] * np.linalg.norm(outer, axis=1) + REACH * beam.offset * np.sqrt(n)
-    outside = target.outside_distance(outer @ np.array([[c, s], [-s, c]]) + coarse.mean[1:])
+    outside = target.outside_distance(outer @ _turn(coarse.mean[0]).T + coarse.mean[1:])
     outer = outer[outside + moved > -_CERTAIN * beam.sigma]  # the others are inside at every pose
     low, high = coarse.mean[1:] - box, coarse.mean[1:] + box
     shifts = share * np.sqrt(n) * np.vstack([np.eye(n), -np.eye(n)])
@@ -317,29 +319,20 @@ def _bounding_box(b: Floats, normals: Floats) -> tuple[Floats, Floats]:
 
 
 def _moments(
-    outer: Floats,
-    sigma: float,
-    stray: float,
-    normals: Floats,
-    offsets: Floats,
-    angles: Floats,
-    low: Floats,
-    high: Floats,
+    outer: Floats, beam: Beam, normals: Floats, offsets: Floats, angles: Floats, low: Floats, high: Floats
 ) -> Containment:
     """Mass, mean and covariance of the likelihood on a grid: angles (K,), and translations between low and high."""
     fractions = [(np.arange(n) + 0.5) / n for n in _GRID[1:]]
     cells = np.stack(np.meshgrid(*fractions, indexing="ij"), axis=-1).reshape(-1, 2)
     t = low[:, None] + cells * (high - low)[:, None]
-    c, s = np.cos(angles), np.sin(angles)
-    turned = np.stack([c[:, None] * outer[:, 0] - s[:, None] * outer[:, 1],
-                       s[:, None] * outer[:, 0] + c[:, None] * outer[:, 1]])  # fmt: skip
+    turned = _turned(outer, angles)
     outside = np.full((len(angles), len(cells), len(outer)), -np.inf)
     for n, offset in zip(normals, offsets, strict=True):
         along = np.einsum("e,ekm->km", n, turned) - offset
         np.maximum(outside, (t @ n)[..., None] + along[:, None], out=outside)
     log_inside = np.zeros(outside.shape)
-    near = outside > -_CERTAIN * sigma
-    log_inside[near] = np.log(stray + (1.0 - stray) * ndtr(-outside[near] / sigma))
+    near = outside > -_CERTAIN * beam.sigma
+    log_inside[near] = np.log(beam.stray + (1.0 - beam.stray) * ndtr(-outside[near] / beam.sigma))
     log_cell = np.log(np.maximum(np.prod(high - low, axis=1), 1e-18))[:, None]
     log_weight = log_inside.sum(axis=-1) + log_cell
     top = float(log_weight.max())
