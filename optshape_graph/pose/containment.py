@@ -51,9 +51,12 @@ def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Fin
     Raises:
         EstimationError: no pose contains the returns.
     """
+    # What was measured: all returns against a plane near the target's, and where they are in it.
     plane = fit_plane(scan.points, None)
     returns = _with_biases(returns_on_plane(scan, plane.axes[0], plane.distance, options=options), scan)
     q = ((returns.points - plane.centre) @ plane.axes.T)[:, 1:]
+
+    # Every connected set of poses that contain them, the likeliest first.
     beam = Beam.of(scan, options)
     sets = containing_poses(q, beam, target)
     if not sets:
@@ -61,6 +64,7 @@ def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Fin
     best = sets[0]
     poses = in_plane_poses(np.array([one.mean[0] for one in sets]), np.array([one.mean[1:] for one in sets]), plane)
 
+    # The likeliest set and the plane in one measurement, at its minimum.
     shared = _outline_measurement(best, plane) + plane_measurement(returns)
     measurement = shared.marginal(1.0).at(poses[0])
     margin, rival = (np.inf, None) if len(sets) == 1 else (best.log_mass - sets[1].log_mass, inverse(poses[1]))

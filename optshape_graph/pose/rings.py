@@ -34,6 +34,7 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
     Raises:
         EstimationError: the returns determine no pose at all.
     """
+    # What was measured: ring ends on the grid of firings, and all returns against a plane near the target's.
     scan, angular_noise = level_rings(scan)
     edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
     plane = fit_plane(scan.points, scan.ring)
@@ -42,14 +43,17 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
     bounded = edges if angular_noise else _bounded(edges, scan)
     problem = Problem(bounded, target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor, options))
 
+    # Every association, the posterior under each, and the best mode against the next.
     starts = _upright(enumerate_poses(edges, plane, target), target)
     modes = compare_modes(rank(problem, starts, scan, edges), problem, scan, edges)
 
+    # The best mode in one measurement, at its minimum.
     on_edges, edge_weight = _edge_measurement(problem, modes)
     shared = on_edges + on_plane
     measurement = shared.marginal(1.0)
     measurement = _widen(measurement.at(refine(measurement)), modes)
 
+    # How the ring ends lie about the edges there.
     best, n = modes.candidates.select(slice(0, 1)), len(edges)
     final = edge_geometry(problem, measurement.T_target_lidar[None], best.geometry.labels)
     return Finding(
