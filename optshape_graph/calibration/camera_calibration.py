@@ -34,7 +34,7 @@ from optshape_graph.calibration.next_placement import NextPlacement, suggest_pla
 from optshape_graph.calibration.sightings import TargetInScan, View
 from optshape_graph.calibration.uncertainty import Uncertainty
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 FOLDS = 5

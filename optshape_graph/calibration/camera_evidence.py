@@ -11,7 +11,7 @@ from optshape_graph.calibration.camera_graph import Rig, Sighting
 from optshape_graph.calibration.consistency import pose_alone
 from optshape_graph.calibration.images.projection import project
 from optshape_graph.calibration.sightings import TargetInScan
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
 

@@ -22,7 +22,7 @@ from optshape_graph.calibration.sightings import TargetInImage, TargetInScan
 from optshape_graph.calibration.uncertainty import Uncertainty, uncertainty_of
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.factors import TemplateFactor
-from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.se3 import adjoint, inverse
 
 
 @dataclass(frozen=True)

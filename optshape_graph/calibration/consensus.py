@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import inverse
 
 MOST_HYPOTHESES = 400
 DIFFERENT = (np.radians(15.0), 0.3)

@@ -14,7 +14,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera_graph import Discrepancy, Rig, Sighting
 from optshape_graph.calibration.images.planar_pose import refine_pose
 from optshape_graph.calibration.sightings import TargetInImage, TargetInScan, View, candidates
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import inverse
 
 FALSE_REJECTION = 1e-4
 """Probability that a good view is rejected, were its errors Gaussian."""

@@ -17,7 +17,7 @@ from optshape_graph.calibration.images.planar_pose import pose_at
 from optshape_graph.calibration.images.projection import normalised, project
 from optshape_graph.calibration.sightings import TargetInImage, TargetInScan
 from optshape_graph.camera import CameraIntrinsics
-from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 COLUMNS, ROWS = (0.15, 0.5, 0.85), (0.3, 0.5, 0.7)

@@ -12,8 +12,8 @@ from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import PlanarPose
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.factors import TemplateMeasurement
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 

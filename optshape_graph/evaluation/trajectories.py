@@ -16,9 +16,9 @@ from scipy.stats import chi2
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.errors import InputError
 from optshape_graph.evaluation.metrics import nearest_equivalent
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping.map import Map
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
 

@@ -22,7 +22,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.factors._callback import CheckedFactor, relative_pose
 from optshape_graph.factors._rows import checked, in_plane, outer_rows, triangular
 from optshape_graph.factors.measurement import TemplateMeasurement
-from optshape_graph.factors.se3 import vec, vec_derivative
+from optshape_graph.se3 import vec, vec_derivative
 
 
 def range_directions(points: ArrayLike) -> Floats:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, in_plane, outer_rows, triangular
-from optshape_graph.factors.se3 import inverse, vec, vec_derivative
+from optshape_graph.se3 import inverse, vec, vec_derivative
 
 
 def edge_rows(points: ArrayLike, normals: ArrayLike, offsets: ArrayLike) -> tuple[Floats, Floats]:

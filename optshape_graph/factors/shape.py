@@ -23,7 +23,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.factors._callback import CheckedFactor, relative_pose
 from optshape_graph.factors._rows import checked, triangular
 from optshape_graph.factors.measurement import TemplateMeasurement
-from optshape_graph.factors.se3 import skew
+from optshape_graph.se3 import skew
 
 RIGID_SIGMA_M = 1e-4
 """How rigidly a vertex is tied to its target, metres: far below what any LiDAR resolves, far above rounding."""

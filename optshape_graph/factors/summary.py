@@ -21,7 +21,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.factors._noise import gaussian
 from optshape_graph.factors._rows import factored
 from optshape_graph.factors.measurement import TemplateMeasurement
-from optshape_graph.factors.se3 import adjoint, inverse, vec, vec_derivative
+from optshape_graph.se3 import adjoint, inverse, vec, vec_derivative
 
 RANK_TOLERANCE = 1e-9
 """Ratio of a diagonal entry of R to the largest, below which that direction counts as not measured."""

@@ -14,10 +14,10 @@ from gtsam.symbol_shorthand import L, X
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
 from optshape_graph.factors import TemplateFactor, summarise
-from optshape_graph.factors.se3 import inverse, vec
 from optshape_graph.graph.initial import initialise
 from optshape_graph.graph.observation import Observation
 from optshape_graph.graph.solution import Residual
+from optshape_graph.se3 import inverse, vec
 
 
 @dataclass(frozen=True, eq=False)

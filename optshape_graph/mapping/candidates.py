@@ -14,10 +14,10 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.factors.summary import Summary
 from optshape_graph.mapping.association import gate
 from optshape_graph.mapping.sighting import Sighting
+from optshape_graph.se3 import adjoint, inverse
 
 RESOLVED = 13.8
 """Difference of twice the log likelihood (a factor of 1000) from which on one hypothesis has beaten another."""

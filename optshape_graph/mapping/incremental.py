@@ -12,7 +12,6 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping.association import Pairing, associate, gated, plain, predictions
 from optshape_graph.mapping.candidates import MOST_CARRIED, Candidate
@@ -21,6 +20,7 @@ from optshape_graph.mapping.locate import locate
 from optshape_graph.mapping.map import Map, rigid
 from optshape_graph.mapping.sighting import Sighting
 from optshape_graph.mapping.track import MappingProblem, Match, Odometry, Start, Track
+from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 AT_THE_ORIGIN = Start(np.eye(4), 1e-8 * np.eye(6))

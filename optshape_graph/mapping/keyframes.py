@@ -12,12 +12,12 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.sessions import Session
 from optshape_graph.mapping.motion import twist_between
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import inverse
 
 
 @dataclass(frozen=True)

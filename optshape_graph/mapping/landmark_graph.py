@@ -17,11 +17,11 @@ from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import Summary, summarise
 from optshape_graph.factors._noise import gaussian
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.mapping.map import Landmark, Map, rigid
 from optshape_graph.mapping.priors import joint_prior, root_of
 from optshape_graph.mapping.smoother import Smoother
 from optshape_graph.mapping.track import Match, Odometry, Start
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
 LOSS = 4.1

@@ -8,10 +8,10 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.mapping.association import Pairing, associate, gated, predictions
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.sighting import Sighting
+from optshape_graph.se3 import adjoint, inverse
 
 SAME_PLACE = 0.3
 """Tangent distance, rad and metres, within which two poses count as one."""

@@ -9,10 +9,10 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.priors import sqrt_information
+from optshape_graph.se3 import adjoint, inverse
 
 MAX_ITERATIONS = 30
 """Gauss-Newton steps at most."""

@@ -17,9 +17,9 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors.se3 import adjoint, inverse, skew
 from optshape_graph.pose import PoseEstimate, estimate_pose
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import adjoint, inverse, skew
 from optshape_graph.target import Target
 
 MAX_ITERATIONS = 20

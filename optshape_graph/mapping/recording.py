@@ -15,7 +15,6 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.mapping.incremental import LandmarkSlam
 from optshape_graph.mapping.keyframes import (
     Keyframe,
@@ -31,6 +30,7 @@ from optshape_graph.mapping.shapes import shape_measurement
 from optshape_graph.mapping.sighting import Sighting
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
 __all__ = [

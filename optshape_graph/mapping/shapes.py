@@ -15,7 +15,6 @@ import numpy as np
 from optshape_graph._arrays import Bools, Floats
 from optshape_graph.factors import ShapeMeasurement, shape_rows
 from optshape_graph.factors._noise import gaussian
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.mapping.priors import sqrt_information
 from optshape_graph.mapping.sighting import Sighting
 from optshape_graph.mapping.track import Keys, MappingProblem
@@ -23,6 +22,7 @@ from optshape_graph.pose import PoseEstimate
 from optshape_graph.pose.angles import level_rings
 from optshape_graph.pose.noise import returns_on_plane
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 GAUGE_SIGMA_M = 1e-6

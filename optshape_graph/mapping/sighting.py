@@ -10,8 +10,8 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
 from optshape_graph.factors import BiasedMeasurement, ShapeMeasurement, Summary, TemplateMeasurement, summarise
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.pose import PoseEstimate
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
 LOOSEST = 10.0

@@ -10,13 +10,13 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io import load_target, read_scan
 from optshape_graph.io.builtin import builtin_names
 from optshape_graph.io.documents import Node, read_json
 from optshape_graph.io.files import is_file
 from optshape_graph.mapping.map import load_map
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 from optshape_graph.viz.spatial import (
     Lines,

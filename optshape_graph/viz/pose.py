@@ -11,10 +11,10 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.pose.estimate import AMBIGUITY_MARGIN
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 from optshape_graph.viz.style import (
     BLUE,

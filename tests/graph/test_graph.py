@@ -8,8 +8,8 @@ from hypothesis import given, settings
 
 from optshape_graph import EstimationError, InputError, Target, UnobservableError
 from optshape_graph.factors import TemplateCallbackFactor, TemplateMeasurement, edge_rows, plane_rows
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.graph import Observation, build, solve
+from optshape_graph.se3 import adjoint, inverse
 from tests.factors.support import TARGET, edge_points, log, measure, minimise, retract, seeds
 
 SIGMA = 0.01

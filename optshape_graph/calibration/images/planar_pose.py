@@ -13,8 +13,8 @@ from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.projection import normalised, project, projected, projection_derivative
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors.se3 import skew
 from optshape_graph.io.image_files import opencv
+from optshape_graph.se3 import skew
 
 SAME_POSE = (np.radians(0.5), 2e-3)
 """Rotation, rad, and translation relative to the distance, under which two minima are one."""
