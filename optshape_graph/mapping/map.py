@@ -18,6 +18,7 @@ from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.io.documents import Node, read_document, write_json
 from optshape_graph.io.trajectories import Trajectory
+from optshape_graph.se3 import apply
 from optshape_graph.target import Target
 
 _UNIT = np.eye(3)
@@ -53,7 +54,7 @@ class Landmark:
     @property
     def vertices(self) -> Floats:
         """(n, 3) vertices, world frame, metres."""
-        return np.asarray(self.target.vertices @ self.T_world_target[:3, :3].T + self.T_world_target[:3, 3])
+        return apply(self.T_world_target, self.target.vertices)
 
 
 @dataclass(frozen=True, eq=False)
