@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import factorial
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +28,6 @@ _TERMS = 8
 _UNIT = np.eye(3)
 
 
-@runtime_checkable
 class Pose3(Protocol):
     """A pose that is not an array: `gtsam.Pose3`."""
 
@@ -36,7 +35,16 @@ class Pose3(Protocol):
         """Return the transform (4, 4)."""
 
 
-def as_transform(T: ArrayLike | Pose3, what: str = "transform") -> Floats:
+PoseLike: TypeAlias = ArrayLike | Pose3
+"""What is taken for a rigid transform: (4, 4), or a `gtsam.Pose3`."""
+
+
+def as_matrix(T: PoseLike) -> Floats:
+    """Return a transform as an array (..., 4, 4), not looked at: for what is asked thousands of times a second."""
+    return np.asarray(T.matrix() if hasattr(T, "matrix") else T, float)
+
+
+def as_transform(T: PoseLike, what: str = "transform") -> Floats:
     """Return a rigid transform as a read-only (4, 4) array.
 
     Args:
@@ -47,7 +55,7 @@ def as_transform(T: ArrayLike | Pose3, what: str = "transform") -> Floats:
         InputError: it is not a finite rigid transform.
     """
     try:
-        pose = frozen(T.matrix() if isinstance(T, Pose3) else T)
+        pose = frozen(as_matrix(T))
     except (TypeError, ValueError) as error:
         raise InputError(f"{what}: expected a pose as 4 x 4 numbers, found {T!r}") from error
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
@@ -56,7 +64,7 @@ def as_transform(T: ArrayLike | Pose3, what: str = "transform") -> Floats:
     x, y, z = R.T.tolist()
     handed = sum(x[i] * (y[i - 2] * z[i - 1] - y[i - 1] * z[i - 2]) for i in range(3))
     if np.abs(R.T @ R - _UNIT).max() > RIGID or handed < 0 or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        raise InputError(f"{what}: its pose is not a rigid transform: {pose.tolist()}")
+        raise InputError(f"{what}: not a rigid transform: {pose.tolist()}")
     return pose
 
 

@@ -46,7 +46,7 @@ class Candidate:
 
     def __post_init__(self) -> None:
         first = self.sightings[0][1]
-        turns = len(first.target.symmetry_rotations)
+        turns = len(first.target.symmetries)
         # How a symmetric target's vertices are named is free, once: the first sighting does it.
         self.choices = [[k * turns] for k in range(len(first.measurements))]
         self.scores = np.zeros(len(self.choices))

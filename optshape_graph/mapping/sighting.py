@@ -124,12 +124,7 @@ class Sighting:
 
     @property
     def _turns(self) -> list[Floats | None]:
-        turns: list[Floats | None] = [None]
-        for S in self.target.symmetry_rotations[1:]:
-            turn = np.eye(4)
-            turn[:3, :3] = S
-            turns.append(turn)
-        return turns
+        return [None, *self.target.symmetry_transforms[1:]]
 
     def T_lidar_target(self) -> Floats:
         """Return the likeliest pose (4, 4)."""

@@ -327,7 +327,7 @@ def test_bad_input():
         build([])
     with pytest.raises(InputError, match="'t0' is observed 2 times from LiDAR pose 's0': fuse"):
         build([observations[0], *observations])
-    with pytest.raises(InputError, match="LiDAR 's0' is not a rigid"):
+    with pytest.raises(InputError, match="LiDAR 's0': not a rigid"):
         build(observations, known_lidars={"s0": 2.0 * np.eye(4)})
     with pytest.raises(InputError, match="nothing to solve"):
         solve(build(observations, known_lidars=lidars, known_targets=targets))
