@@ -10,6 +10,7 @@ from optshape_graph.detection.results import Evidence
 from optshape_graph.detection.segments import Sweep
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.pose.evidence import chords
+from optshape_graph.se3 import apply
 
 MIN_CONTAINED, MIN_COVERED, MIN_EDGED, MIN_SOLID, MIN_FREE, MIN_STEPPED = 0.8, 0.6, 0.75, 0.9, 0.75, 0.75
 """Least shares of `Evidence` that a target has: stands and arms touch it, hands hide it, returns get lost."""
@@ -60,7 +61,7 @@ def undoubted(sweep: Sweep, estimate: PoseEstimate, rows: Ints) -> Bools:
     points = sweep.points[rows]
     normal, distance = estimate.plane[:3], -estimate.plane[3]
     on_plane = points * (distance / (points @ normal))[:, None]
-    yz = (on_plane @ T[:3, :3].T + T[:3, 3])[:, 1:]
+    yz = apply(T, on_plane)[:, 1:]
     error = float(np.sqrt(np.linalg.eigvalsh(estimate.covariance[4:, 4:])[-1]))
     inset = min(error, 0.1 * float(estimate.target.offsets.min()))
     behind = points @ normal - distance
@@ -89,7 +90,7 @@ def judge(sweep: Sweep, connected: Ints, own: Ints, estimate: PoseEstimate, marg
     reference = float(np.arctan2(*estimate.T_lidar_target[[1, 0], 3]))
 
     def rays(scale: float) -> float:
-        vertices = (scale * target.vertices) @ estimate.T_lidar_target[:3, :3].T + estimate.T_lidar_target[:3, 3]
+        vertices = apply(estimate.T_lidar_target, scale * target.vertices)
         right, left = chords(vertices[None], sweep.elevations, reference)
         return float(np.maximum(left - right, 0.0).sum() / sweep.resolution.step)
 
@@ -141,7 +142,7 @@ def _edged(sweep: Sweep, estimate: PoseEstimate) -> float:
     them by up to half a beam, the one that suits them best, and each by as much again.
     """
     target, edges, T = estimate.target, estimate.edge_points, estimate.T_target_lidar
-    yz = (edges.points @ T[:3, :3].T + T[:3, 3])[:, 1:]
+    yz = apply(T, edges.points)[:, 1:]
     outward = (edges.outward(estimate.plane[:3]) @ T[:3, :3].T)[:, 1:]
     distance = np.linalg.norm(edges.points, axis=1)
     last_hit = target.outside_distance(yz)
