@@ -198,7 +198,9 @@ def _coefficients(fields: dict[str, Node], model: str) -> list[float]:
     if several is not None:
         return _flat(several)
     if _plain(model) in _MODELS["equidistant"]:  # camodocal counts from k2
-        counted = ("k2", "k3", "k4", "k5") if "k5" in fields and "k1" not in fields else ("k1", "k2", "k3", "k4")
+        counted: tuple[str, ...] = (
+            ("k2", "k3", "k4", "k5") if "k5" in fields and "k1" not in fields else ("k1", "k2", "k3", "k4")
+        )
     else:
         counted = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     each = [_first(fields, [prefix + name for prefix in ("", "camera", "camera1")]) for name in counted]

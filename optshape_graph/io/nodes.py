@@ -144,6 +144,7 @@ class Node:
 
 
 def found_in_words(value: Any) -> str:
+    """Return a value as messages show it, at most 80 characters."""
     match value:
         case None:
             return "nothing (null)"

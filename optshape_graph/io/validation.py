@@ -53,8 +53,8 @@ def _fits(value: Any, schema: Schema, root: Schema) -> bool:
 
 def _is_type(value: Any, name: str) -> bool:
     if name in ("number", "integer"):
-        kinds: tuple[type, ...] = (int,) if name == "integer" else (int, float)
-        return isinstance(value, kinds) and not isinstance(value, bool) and abs(value) < LARGEST_NUMBER
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        return (whole or (name == "number" and isinstance(value, float))) and bool(abs(value) < LARGEST_NUMBER)
     kinds = {"object": (dict,), "array": (list,), "string": (str,), "boolean": (bool,), "null": (type(None),)}[name]
     return isinstance(value, kinds)
 

@@ -290,7 +290,7 @@ def test_camodocal_fisheye(tmp_path: Path) -> None:
     camera = load_camera(write(tmp_path, text))
     assert camera.model == "equidistant"
     np.testing.assert_array_equal(camera.D, [0.1, -0.2, 0.001, 0.002])
-    with pytest.raises(InputError, match="model_type: expected plumb_bob, .*, found 'MEI'"):
+    with pytest.raises(InputError, match=r"model_type: expected plumb_bob, .*, found 'MEI'"):
         load_camera(write(tmp_path, CAMODOCAL.replace("PINHOLE", "MEI")))
 
 
