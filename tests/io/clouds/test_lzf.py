@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optshape_graph import InputError
-from optshape_graph.io.lzf import lzf_decompress
+from optshape_graph.io.clouds.lzf import lzf_decompress
 
 
 def compress(data: bytes) -> bytes:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 
 from optshape_graph.io.recordings import Recording
-from optshape_graph.io.recordings.frames import chained
+from optshape_graph.io.recordings.topics import chained
 from tests.factors.support import random_pose, seeds
 from tests.io.recordings.writing import maker, points, write_bag
 

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optshape_graph import InputError
-from optshape_graph.io.npz import read_npz
+from optshape_graph.io.clouds.npz import read_npz
 from tests.io.refusal import read_or_refused
 
 

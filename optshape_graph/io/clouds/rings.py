@@ -33,6 +33,15 @@ been published with 0.5 deg."""
 _MEDIAN_EFFICIENCY = 1.2533
 """Standard error of a median relative to that of a mean: sqrt(pi / 2), of normal noise."""
 
+SWEEP_BACK = np.radians(3.0)
+"""By more than this the azimuth jumps back where the next beam's sweep begins, rad."""
+
+SWEEP_JITTER = np.radians(0.2)
+"""By as much sweeps of different beams may begin apart, rad."""
+
+MOST_SWEEPS = 256
+"""Beams of the largest sensors."""
+
 LARGEST_STRAY_SHARE = 0.1
 """Share of returns between the rows of a table that still fits."""
 
@@ -98,6 +107,36 @@ def rings_of_elevations(points: Floats, sensor: SensorModel, name: str) -> Ints:
             f"{np.degrees(elevation[k]):.3f} deg, the nearest row at {np.degrees(sensor.elevations[ring[k]]):.3f} deg",
         )
     return ring
+
+
+def rings_by_firing(points: Floats, sensor: SensorModel | None, name: str) -> Ints | None:
+    """Recover rings from the order of returns, where the file keeps each beam's sweep together, as KITTI's do.
+
+    A beam's sweep ends where the azimuth jumps back, or where it has gone round; the next is of the next beam.
+
+    Args:
+        points: (N, 3) metres, LiDAR frame, in the order of the file.
+        sensor: the sensor that made them, if known.
+        name: the source, for messages.
+
+    Returns:
+        (N,) rings, or None where the order does not show any, or shows other ones than the sensor has.
+    """
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    step = np.angle(np.exp(1j * np.diff(azimuth)))
+    direction = float(np.sign(np.median(step[step != 0]))) if step.any() else 0.0
+    if direction == 0:
+        return None
+    phase = np.mod(direction * (azimuth - azimuth[0]) + SWEEP_JITTER, 2 * np.pi)
+    back = (direction * step < -SWEEP_BACK) | (np.diff(phase) < -np.pi)
+    sweep = np.concatenate([[0], np.cumsum(back)])
+    if not 2 <= sweep[-1] + 1 <= MOST_SWEEPS or not _are_level(_elevations(points), sweep, np.bincount(sweep)):
+        return None
+    try:
+        return rings_of_ids(points, sweep, sensor, name)
+    except InputError as error:
+        _LOG.info("%s: the order of firing shows %d beams: %s", name, sweep[-1] + 1, error)
+        return None
 
 
 def _elevations(points: Floats) -> Floats:
@@ -175,6 +214,7 @@ def _beam_origin(ranges: Floats) -> Floats:
 
 def _misfit(name: str, sensor: SensorModel, found: str) -> InputError:
     return InputError(
-        f"{name}: the elevations do not fit the table of {sensor.name}: {found} (another sensor? a unit with a table "
-        "of its own, whose sensor file is needed? points that are not in the LiDAR's frame?)"
+        f"{name}: the elevations do not fit the table of {sensor.name}: {found} (another sensor? points that are not "
+        "in the LiDAR's frame? a unit with a table of its own: give the maker's file of it as --sensor, or a file with "
+        "'schema: optshape/sensor/1' and 'elevations_deg: [lowest, ..., highest]')"
     )

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from optshape_graph import InputError, SensorModel
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.io import load_sensor
-from optshape_graph.io.rings import rings_of_elevations, rings_of_ids
+from optshape_graph.io.clouds.rings import rings_of_elevations, rings_of_ids
 
 VLP32C, VLP16 = load_sensor("vlp32c"), load_sensor("vlp16")
 FIRING_ORDER = np.array([0, 2, 4, 6, 8, 10, 12, 14, 1, 3, 5, 7, 9, 11, 13, 15])

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optshape_graph.errors import InputError
-from optshape_graph.io.columns import Columns, parse_table
+from optshape_graph.io.clouds.columns import Columns
+from optshape_graph.io.clouds.lzf import lzf_decompress
+from optshape_graph.io.clouds.text import parse_table
 from optshape_graph.io.files import read_bytes, write_atomically
-from optshape_graph.io.lzf import lzf_decompress
 
 _LOG = logging.getLogger(__name__)
 _KEYS = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
@@ -40,6 +41,8 @@ def read_pcd(path: str | Path) -> Columns:
     data = read_bytes(path)
     header, body = _split_header(path, data)
     dtype = _point_type(path, header)
+    if "WIDTH" not in header and "POINTS" in header:
+        header["WIDTH"] = header["POINTS"]
     width, height = _integer(path, header, "WIDTH"), _integer(path, header, "HEIGHT", 1)
     points = _integer(path, header, "POINTS", width * height)
     if points != width * height:
@@ -103,6 +106,8 @@ def _split_header(path: str | Path, data: bytes) -> tuple[dict[str, list[str]], 
         if not words or words[0].startswith("#"):
             continue
         key = words[0].upper()
+        if key not in _KEYS and "FIELDS" in header:
+            continue  # of a program with more to say
         if key not in _KEYS:
             _fail(path, f"expected one of the keywords {', '.join(_KEYS)}, found {words[0][:40]!r}")
         header["FIELDS" if key == "COLUMNS" else key] = words[1:]
@@ -139,16 +144,19 @@ def _point_type(path: str | Path, header: dict[str, list[str]]) -> np.dtype[Any]
         if len(words) != len(names):
             _fail(path, f"{len(names)} fields, but {len(words)} entries after {key}")
     parts: list[tuple[Any, ...]] = []
-    for i, (name, size, kind, count) in enumerate(zip(names, header["SIZE"], header["TYPE"], counts, strict=True)):
+    kinds = [kind.upper() for kind in header["TYPE"]]
+    for i, (name, size, kind, count) in enumerate(zip(names, header["SIZE"], kinds, counts, strict=True)):
         if (kind, size) not in _TYPES:
             _fail(path, f"field '{name}' has type {kind}, size {size}; expected F 4|8, I or U 1|2|4|8")
-        if not count.isdecimal() or len(count) > 5 or int(count) == 0:
-            _fail(path, f"field '{name}' has count {count[:40]!r}; expected a number from 1 to 99999")
+        if not count.isdecimal() or len(count) > 5:
+            _fail(path, f"field '{name}' has count {count[:40]!r}; expected a number from 0 to 99999")
+        if int(count) == 0:  # padding of no bytes
+            continue
         code = _TYPES[kind, size]
-        name = f"_{i}" if name == "_" else name
+        if name in names[:i] and name != "_":
+            _LOG.warning("%s: field '%s' is there twice; the first is read", path, name)
+        name = f"_{i}" if name == "_" or name in names[:i] else name
         parts.append((name, code) if count == "1" else (name, code, (int(count),)))
-    if len({part[0] for part in parts}) < len(parts):
-        _fail(path, f"a field is named twice: {' '.join(names)}")
     dtype = np.dtype(parts)
     if dtype.itemsize > _LARGEST_POINT:
         _fail(path, f"a point of {dtype.itemsize} bytes; expected at most {_LARGEST_POINT}")
@@ -156,7 +164,10 @@ def _point_type(path: str | Path, header: dict[str, list[str]]) -> np.dtype[Any]
 
 
 def _parse_binary(path: str | Path, body: memoryview, dtype: np.dtype[Any], points: int) -> NDArray[Any]:
-    if not 0 <= len(body) - points * dtype.itemsize < dtype.itemsize:
+    """What the header promises; after it less than a point, or padding: PCL 1.7 and 1.8 fill a page with zeros."""
+    extra = len(body) - points * dtype.itemsize
+    padded = extra >= 0 and not np.frombuffer(body, np.uint8, offset=points * dtype.itemsize).any()
+    if not (0 <= extra < dtype.itemsize or padded):
         _fail(
             path,
             f"the header promises {points} points of {dtype.itemsize} bytes, {points * dtype.itemsize} in all; "

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from optshape_graph import InputError
-from optshape_graph.io.ply import read_ply
+from optshape_graph.io.clouds.ply import read_ply
 from tests.io.refusal import read_or_refused
 
 NAMES = {

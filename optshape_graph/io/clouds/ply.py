@@ -12,13 +12,15 @@ from typing import Any, NoReturn
 import numpy as np
 
 from optshape_graph.errors import InputError
-from optshape_graph.io.columns import Columns, parse_table
+from optshape_graph.io.clouds.columns import Columns
+from optshape_graph.io.clouds.text import parse_table
 from optshape_graph.io.files import read_bytes
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
-    "double": "f8", "float64": "f8",
+    "double": "f8", "float64": "f8", "bool": "u1", "boolean": "u1", "int64": "i8", "long": "i8", "uint64": "u8",
+    "ulong": "u8",
 }  # fmt: skip
 _FORMATS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 _LARGEST_HEADER = 1 << 16
