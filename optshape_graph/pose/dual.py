@@ -4,10 +4,10 @@ A minimum is known; only that no rotation costs less has to be shown. Any multip
 rigorous bound (see `certificate`), so those that are tight at the known rotation R* are written down:
 
 1. R = W R* takes the cost to a form F in w = [vec W; 1], whose minimum is at W = I, and keeps the constraints.
-2. Subtracting Gamma : (W^T W - I), Gamma the symmetric part of the gradient at I, and the cost itself leaves a form Z that
-   vanishes at W = I with its gradient. (W W^T serves as well as W^T W; so does the mean of both.)
-3. The points of a planar target lie in x = 0, so F says nothing of the first column of W. Two constraints that vanish on
-   rotations, with zero gradient at I, lend it some of what F says of the other two columns:
+2. Subtract the cost, and Gamma : (W^T W - I) with Gamma the symmetric part of the gradient at I. What is left, Z, and
+   its gradient vanish at W = I. (W W^T serves as well as W^T W, and so does the mean of both.)
+3. The points of a planar target lie in x = 0, so F says nothing of the first column of W. Two constraints that vanish
+   on rotations, with zero gradient at I, lend it some of what F says of the other two columns:
 
        C = W_yx^2 + W_zx^2 - W_xy^2 - W_xz^2,    D = (W_xx - 1)^2 - (W_yy - W_zz)^2 - (W_yz + W_zy)^2.
 
@@ -26,6 +26,9 @@ _SHARE = 0.45
 
 _TIGHT = 1e-11
 """Gap, relative to the trace of the form, below which other multipliers would gain nothing."""
+
+_ROUNDING = 1e-12
+"""Second eigenvalue, relative to the trace of the form, that is rounding."""
 
 _I = np.append(np.eye(3).ravel(), 1.0)  # [vec W; 1] at W = I; W_ij is entry 3 j + i
 _LAST_COLUMNS = np.array([3, 4, 5, 6, 7, 8])
@@ -49,7 +52,7 @@ def closed_form_bounds(forms: Floats, rotations: Floats) -> tuple[Floats, Floats
 
     Returns:
         The bounds (B,), -inf where the form leaves the last two columns of W undetermined; and the second smallest
-        eigenvalue (B,) of the dual's matrix, in the cost's unit.
+        eigenvalue (B,) of the dual's matrix, in the cost's unit, 0 where it is rounding.
     """
     count = len(forms)
     scale = np.trace(forms, axis1=1, axis2=2)
@@ -73,17 +76,18 @@ def closed_form_bounds(forms: Floats, rotations: Floats) -> tuple[Floats, Floats
         eigenvalues = np.linalg.eigvalsh(Z + lent)
         found = np.where(determined, cost[left] + 4.0 * np.minimum(0.0, eigenvalues[:, 0]), -np.inf)
         better = found > bound[left]
-        bound[left[better]], second[left[better]] = found[better], eigenvalues[better, 1]
+        bound[left[better]] = found[better]
+        second[left[better]] = np.where(eigenvalues[better, 1] > _ROUNDING, eigenvalues[better, 1], 0.0)
     return bound * scale, second * scale
 
 
 def _kronecker(A: Floats, B: Floats) -> Floats:
-    """Kronecker products (K, 9, 9) of matrices (K, 3, 3)."""
+    """Return the Kronecker products (K, 9, 9) of matrices (K, 3, 3)."""
     return np.asarray((A[:, :, None, :, None] * B[:, None, :, None, :]).reshape(-1, 9, 9))
 
 
 def _gram(Gamma: Floats, of_columns: float) -> Floats:
-    """Forms (K, 10, 10) of Gamma : (G - I), G = W^T W for a share `of_columns` and W W^T for the rest."""
+    """Return the forms (K, 10, 10) of Gamma : (G - I), G = W^T W for a share `of_columns` and W W^T for the rest."""
     one = np.eye(3)[None]
     form = np.zeros((len(Gamma), 10, 10))
     form[:, :9, :9] = of_columns * _kronecker(Gamma, one) + (1.0 - of_columns) * _kronecker(one, Gamma)
@@ -92,7 +96,7 @@ def _gram(Gamma: Floats, of_columns: float) -> Floats:
 
 
 def _lent(Z: Floats) -> tuple[Floats, Bools]:
-    """c C + d D (K, 10, 10) for forms Z (K, 10, 10), and where Z determines the last two columns of W (K,)."""
+    """Return c C + d D (K, 10, 10) for forms Z (K, 10, 10), and where Z determines the last two columns of W (K,)."""
     block = Z[:, _LAST_COLUMNS[:, None], _LAST_COLUMNS]
     values, vectors = np.linalg.eigh(block)
     determined = values[:, 0] > 1e-12 * values[:, -1]
@@ -102,6 +106,6 @@ def _lent(Z: Floats) -> tuple[Floats, Bools]:
 
 
 def _largest(A: Floats) -> Floats:
-    """Largest eigenvalues (K,) of symmetric matrices (K, 2, 2)."""
+    """Return the largest eigenvalues (K,) of symmetric matrices (K, 2, 2)."""
     half = 0.5 * (A[:, 0, 0] - A[:, 1, 1])
     return np.asarray(0.5 * (A[:, 0, 0] + A[:, 1, 1]) + np.hypot(half, A[:, 0, 1]))
