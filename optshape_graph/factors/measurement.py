@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, in_plane, outer_rows, triangular
-from optshape_graph.se3 import PoseLike, as_matrix, as_transform, inverse, vec, vec_derivative
+from optshape_graph.se3 import PoseLike, as_matrix, inverse, vec, vec_derivative
 
 
 def edge_rows(points: ArrayLike, normals: ArrayLike, offsets: ArrayLike) -> tuple[Floats, Floats]:
@@ -113,9 +113,8 @@ class TemplateMeasurement:
     T_target_lidar: Floats
 
     def __post_init__(self) -> None:
-        for field, shape in (("L", (12, 12)), ("b", (12,))):
-            object.__setattr__(self, field, frozen(checked(field, getattr(self, field), shape)))
-        object.__setattr__(self, "T_target_lidar", as_transform(self.T_target_lidar, "T_target_lidar"))
+        for field, shape in (("L", (12, 12)), ("b", (12,)), ("T_target_lidar", (4, 4))):
+            object.__setattr__(self, field, frozen(checked(field, as_matrix(getattr(self, field)), shape)))
         if not np.isfinite(self.c):
             raise InputError(f"measurement c is {self.c}; expected a finite number")
 

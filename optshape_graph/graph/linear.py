@@ -45,13 +45,16 @@ class LinearSystem:
     columns: dict[int, slice]
 
     @classmethod
-    def of(cls, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> LinearSystem:
-        """Linearise a graph. A variable that no factor touches has empty columns.
+    def of(cls, linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> LinearSystem:
+        """Return a linear graph as matrices. A variable that no factor touches has empty columns.
+
+        Args:
+            linear: the graph.
+            values: of all variables, for their dimensions.
 
         Raises:
-            EstimationError: a factor's residual or Jacobian is not finite there.
+            EstimationError: a factor's residual or Jacobian is not finite.
         """
-        linear = graph.linearize(values)
         dims = values.dims()
         columns, n = {}, 0
         for key in sorted(dims):
