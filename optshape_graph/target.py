@@ -164,7 +164,7 @@ class Target(Value):
 
     @cached_property
     def symmetry_rotations(self) -> tuple[Floats, ...]:
-        """Rotation matrices (3, 3) of `symmetries`."""
+        """(3, 3) matrix of each of the `symmetries`; see `symmetry_transforms`."""
         return tuple(S[:3, :3] for S in self.symmetry_transforms)
 
     def nearest_symmetry(self, T_lidar_target: Floats, predicted: Floats) -> Ints:

@@ -124,7 +124,7 @@ class Chains:
         return H
 
     def derivatives(self, R: Floats, state: State) -> list[list[Floats]]:
-        """Return R (n, 6) times the derivative of each chain by each of its variables, in the order of `keys`.
+        """Return the rows R (n, 6) times the derivative of each chain by each of its variables, in the order of `keys`.
 
         Args:
             R: (m, n, 6) by the right perturbation of each chain's pose.

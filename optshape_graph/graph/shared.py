@@ -128,7 +128,7 @@ class SharedErrorsModel:
 
     @property
     def weight(self) -> Floats:
-        """(m,) that the loss gives each, 0 to 1."""
+        """(m,) weight that the loss gives each, 0 to 1."""
         return huber_weight(self.chi2, self.term.loss)
 
     @property

@@ -115,7 +115,7 @@ class TemplatesModel:
 
     @property
     def weight(self) -> Floats:
-        """(m,) that the loss gives each, 0 to 1."""
+        """(m,) weight that the loss gives each, 0 to 1."""
         return huber_weight(self.chi2, self.loss)
 
     @property
@@ -138,7 +138,7 @@ class JointPoses:
     Attributes:
         chains: of the poses H_i.
         measured: (m, 4, 4) M_i.
-        sqrt_information: (6 m, 6 m) R: R^T R is the inverse of the joint covariance of right perturbations.
+        sqrt_information: (6 m, 6 m) matrix R: R^T R is the inverse of the joint covariance of right perturbations.
     """
 
     chains: Chains
@@ -159,8 +159,8 @@ class JointPosesModel:
     Attributes:
         keys: of each pose's variables.
         by: derivatives (6, 6) of each pose's residual by them.
-        residual: (6 m,) unwhitened.
-        sqrt_information: (6 m, 6 m).
+        residual: (6 m,) tangent vectors, rad and metres.
+        sqrt_information: (6 m, 6 m) matrix, that whitens it.
     """
 
     keys: list[list[int]]
