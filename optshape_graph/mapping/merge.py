@@ -10,7 +10,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping.map import Landmark, Map
-from optshape_graph.mapping.priors import sqrt_information
+from optshape_graph.mapping.smoother import sqrt_information
 from optshape_graph.se3 import adjoint, difference, exp, inverse, inverse_covariance, inverse_right_jacobian
 
 MAX_ITERATIONS = 30
