@@ -15,8 +15,8 @@ from optshape_graph.graph.terms import Model, Term, add_rows
 MAX_ITERATIONS = 50
 """Steps at most."""
 
-CONVERGED = 1e-6
-"""Decrease of the cost, in half a chi-square, promised by a step that is the last one: about a thousandth of a standard
+CONVERGED = 1e-4
+"""Decrease of the cost, in half a chi-square, promised by a step that is the last one: about a hundredth of a standard
 deviation, and what is left after it is far less."""
 
 ROUNDING = 1e-12

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Protocol
 
 import gtsam
@@ -25,6 +26,10 @@ rows has lost half of the digits."""
 
 RIDGE = 1e-13
 """Added to what is factored by Cholesky, relative to its trace: a measurement may leave a direction open."""
+
+
+_JACOBIAN_FACTOR: Any = gtsam.JacobianFactor
+"""Its overloads take pairs of a key and a block, which is no type that a list has."""
 
 
 class Model(Protocol):
@@ -212,9 +217,8 @@ def add_rows(linear: gtsam.GaussianFactorGraph, keys: Sequence[int], blocks: Seq
     if not keys:
         return
     if len(keys) <= 3:  # as many as GTSAM's constructors take from Python
-        factor: Any = gtsam.JacobianFactor  # whose overloads are no list of pairs
         pairs = [part for pair in zip(keys, blocks, strict=True) for part in pair]
-        linear.push_back(factor(*pairs, b, gtsam.noiseModel.Unit.Create(len(b))))
+        linear.push_back(_JACOBIAN_FACTOR(*pairs, b, _unit(len(b))))
         return
     # Pairs of variables are what its Hessian takes; added up they are one factor of all of them.
     quadratic = gtsam.GaussianFactorGraph()
@@ -224,6 +228,11 @@ def add_rows(linear: gtsam.GaussianFactorGraph, keys: Sequence[int], blocks: Seq
             G, H = np.zeros((A.shape[1], A.shape[1])), np.zeros((B.shape[1], B.shape[1]))
             quadratic.push_back(gtsam.HessianFactor(key, other, G, A.T @ B, np.zeros(len(G)), H, np.zeros(len(H)), 0.0))
     linear.push_back(gtsam.HessianFactor(quadratic))
+
+
+@cache
+def _unit(n: int) -> gtsam.noiseModel.Unit:
+    return gtsam.noiseModel.Unit.Create(n)
 
 
 def _triangular(rows: Floats) -> Floats:
