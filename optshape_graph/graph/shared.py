@@ -11,14 +11,14 @@ of which the first six link poses and errors, and the others are of the errors a
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
-from optshape_graph.factors import BiasedMeasurement
+from optshape_graph.factors import BiasedMeasurement, SharedError
 from optshape_graph.factors._rows import factored, triangular
 from optshape_graph.graph.chain import Chain, Chains, State
 from optshape_graph.graph.terms import add_rows, huber, huber_weight
@@ -47,7 +47,7 @@ class SharedErrors:
     measurements: tuple[BiasedMeasurement, ...]
     sensor: Ints
     keys: tuple[int, ...]
-    errors: tuple[tuple[Hashable, ...], ...]
+    errors: tuple[tuple[SharedError, ...], ...]
     loss: float = np.inf
 
     @classmethod
@@ -60,7 +60,7 @@ class SharedErrors:
     ) -> SharedErrors:
         """Return the term of measurements (m,), what T_target_lidar is made of (m,), and the sensors' keys (m,)."""
         keys = tuple(dict.fromkeys(sensors))
-        errors: dict[int, dict[Hashable, None]] = {key: {} for key in keys}
+        errors: dict[int, dict[SharedError, None]] = {key: {} for key in keys}
         for measurement, key in zip(measurements, sensors, strict=True):
             errors[key].update(dict.fromkeys(measurement.shared))
         sensor = np.array([keys.index(key) for key in sensors], int)

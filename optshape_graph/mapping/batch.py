@@ -9,7 +9,7 @@ import numpy as np
 
 from optshape_graph.errors import InputError
 from optshape_graph.factors import SummaryFactor
-from optshape_graph.factors._noise import gaussian
+from optshape_graph.factors._rows import gaussian
 from optshape_graph.graph import Chains, SharedErrors, State, Templates, solve
 from optshape_graph.mapping.batch_solution import BatchSolution, Keys, Residual, pose_graph
 from optshape_graph.mapping.incremental_graph import LOSS

@@ -18,7 +18,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors._noise import gaussian
+from optshape_graph.factors._rows import gaussian
 
 RELINEARISE = 0.005
 """Step, metres or rad, beyond which a variable is linearised again."""

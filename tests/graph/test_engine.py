@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optshape_graph import InputError
-from optshape_graph.factors import BiasedMeasurement
+from optshape_graph.factors import BiasedMeasurement, SharedError
 from optshape_graph.graph import Chains, Inverse, JointPoses, SharedErrors, State, Templates, add_rows, solve
 from optshape_graph.se3 import difference, exp, inverse
 from tests.factors.support import measure, seeds
@@ -168,7 +168,15 @@ def test_shared_errors_are_one_variable_for_all_measurements():
     for T in poses:
         m = measure(rng, T)
         B_columns = 3.0 * rng.normal(size=(13, 2))
-        stacks.append(BiasedMeasurement.from_rows(m.stack[:, :12], B_columns, m.stack[:, 12], T, ("a", "b")))
+        stacks.append(
+            BiasedMeasurement.from_rows(
+                m.stack[:, :12],
+                B_columns,
+                m.stack[:, 12],
+                T,
+                (SharedError("range bias", 0), SharedError("edge offset")),
+            )
+        )
     term = SharedErrors.of(stacks, [[Inverse(L(0))], [Inverse(L(1))]], [B(0), B(0)])
     values = gtsam.Values()
     for j, T in enumerate(poses):
