@@ -166,7 +166,7 @@ class BatchSolution:
         """Return the joint covariance of landmarks and poses (session, number), right perturbations, rotation first.
 
         Raises:
-            EstimationError: something is not determined by what was measured.
+            UnobservableError: something is not determined by what was measured.
         """
         names = [track.name for track in self.problem.tracks]
         keys = [self.keys.landmarks[name] for name in landmarks]
