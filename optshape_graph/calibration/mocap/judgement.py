@@ -1,0 +1,147 @@
+"""Whether a calibration to motion capture is to be trusted: scatter, layout, size, and what the scans can't tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import chi2
+
+from optshape_graph._arrays import Floats
+from optshape_graph.calibration.free_shape import measure_shape
+from optshape_graph.calibration.mocap.agreement import placements
+from optshape_graph.calibration.mocap.comparison import MocapScan
+from optshape_graph.calibration.mocap.graph import MarkerModel, Solution
+from optshape_graph.calibration.verdict import Finding
+from optshape_graph.errors import EstimationError
+
+FEWEST = 3
+"""Placements from which the others can show that one is wrong."""
+
+FALSE_REJECTION = 1e-4
+"""Probability that a good scan is left out, were its errors Gaussian."""
+
+MOST_SCATTER = 16.0
+"""Scatter that is taken for a sensor whose file is too sure of itself; beyond it, something is wrong."""
+
+LOOSEST = (3.0, 0.1)
+"""Standard deviations of T_lidar_mocap at the targets, deg and metres, beyond which it is called open."""
+
+SIDES_OFF = 0.02
+"""Difference of a side, metres, that ring biases of real sensors make at close range beyond what their files say."""
+
+TYPICAL = float(chi2.median(6))
+
+
+def limit_of(chi_squares: Sequence[float]) -> float:
+    """Return the squared distance beyond which a scan is left out, where typical ones are as given."""
+    return float(chi2.isf(FALSE_REJECTION, 6) * max(1.0, float(np.median(chi_squares)) / TYPICAL))
+
+
+def judge(
+    scans: Sequence[MocapScan],
+    solution: Solution,
+    model: MarkerModel,
+    scatter: float,
+    chi_squares: Sequence[float],
+    rejected: int,
+) -> tuple[Finding, ...]:
+    """Judge a solution by the scans that it is made of.
+
+    Args:
+        scans: those used.
+        solution: of their graph.
+        model: of the markers.
+        scatter: of the scans about the solution, 1 where their covariances are right.
+        chi_squares: of each scan, against what the others say of it, with 6 degrees of freedom.
+        rejected: how many scans contradicted these, and were left out.
+    """
+    return (
+        *_of_number(scans, solution, scatter, rejected),
+        *_of_scatter(scans, scatter, chi_squares),
+        *_of_layout(scans, solution, model, scatter),
+        *_of_shape(scans),
+    )
+
+
+def _of_number(
+    scans: Sequence[MocapScan], solution: Solution, scatter: float, rejected: int
+) -> list[Finding]:
+    degrees, metres = _sigmas(scans, solution, scatter)
+    known = f"T_lidar_mocap is known to {degrees:.1f} deg and {1e3 * metres:.0f} mm (sd) at the targets"
+    found = []
+    if (count := placements(scans)) < FEWEST:
+        one = "1 placement" if count == 1 else f"{count} placements"
+        found.append(Finding(
+            f"{one} of the target: no other shows whether one is wrong, and {known}; take {FEWEST} or more, at "
+            f"different places and angles", True,
+        ))  # fmt: skip
+    elif degrees > LOOSEST[0] or metres > LOOSEST[1]:
+        found.append(Finding(f"{known}: add scans nearer by, or at other places and angles", True))
+    if rejected:
+        total = len(scans) + rejected
+        found.append(Finding(f"{rejected} of {total} scans contradict the others and were left out", 3 * rejected > total))
+    return found
+
+
+def _of_scatter(scans: Sequence[MocapScan], scatter: float, chi_squares: Sequence[float]) -> list[Finding]:
+    found = []
+    left_out = float(np.mean(chi_squares)) / 6
+    if max(scatter, left_out) > MOST_SCATTER:
+        found.append(Finding(
+            f"the scans disagree {np.sqrt(max(scatter, left_out)):.1f} times as much as their covariances say: "
+            f"something is wrong with scans, markers or target that none of them shows alone", True,
+        ))  # fmt: skip
+    elif max(chi_squares) > limit_of(chi_squares):
+        worst = int(np.argmax(chi_squares))
+        found.append(Finding(
+            f"{scans[worst].name} contradicts the other scans, which are too few to show which of them is wrong", True
+        ))  # fmt: skip
+    return found
+
+
+def _of_layout(scans: Sequence[MocapScan], solution: Solution, model: MarkerModel, scatter: float) -> list[Finding]:
+    offsets = solution.layout - scans[0].estimate.target.vertices
+    variances = np.trace(solution.layout_covariance, axis1=1, axis2=2) * max(1.0, scatter)
+    distances = np.linalg.norm(offsets, axis=1)
+    k = int(np.argmax(distances))
+    if distances[k] < 3 * model.layout_prior + 3 * np.sqrt(variances[k]):
+        return []
+    text = (
+        f"by the LiDAR the marker of vertex {k} is {distances[k]:.3f} m from it; expected about "
+        f"{model.layout_prior:.3f}: are the markers those of this target?"
+    )
+    return [Finding(text, True)]
+
+
+def _of_shape(scans: Sequence[MocapScan]) -> list[Finding]:
+    """Measure the target's sides from the returns: is its file right?"""
+    returns = [scan.returns for scan in scans if scan.returns is not None]
+    target = scans[0].estimate.target
+    try:
+        shape = measure_shape(returns, target)
+    except EstimationError:  # no rings, or angles with noise: no shape to be told
+        return []
+    if shape.agrees or np.abs(shape.joint.sides - target.edge_lengths).max() < SIDES_OFF:
+        return []
+    ratio = float(shape.joint.sides.sum() / target.edge_lengths.sum())
+    size = f"{100 * abs(ratio - 1):.1f} % {'longer' if ratio > 1 else 'shorter'}"
+    sides = " ".join(f"{1e3 * side:.0f}" for side in shape.joint.sides)
+    expected = " ".join(f"{1e3 * side:.0f}" for side in target.edge_lengths)
+    text = (
+        f"the sides of target '{target.name}' are {size} than its file says ({sides} mm by the LiDAR, {expected} by "
+        f"the file): is the file right?"
+    )
+    return [Finding(text, True)]
+
+
+def _sigmas(scans: Sequence[MocapScan], solution: Solution, scatter: float) -> tuple[float, float]:
+    """Return the largest standard deviations of T_lidar_mocap at the middle of the targets, deg and metres."""
+    middle = np.mean([scan.T_mocap_target[:3, 3] for scan in scans], axis=0)
+    # A point of the motion-capture frame moves by R (omega x middle + v).
+    x, y, z = middle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    covariance = solution.covariance * max(1.0, scatter)
+    J: Floats = np.hstack([-cross, np.eye(3)])
+    largest = [float(np.linalg.eigvalsh(block)[-1]) for block in (covariance[:3, :3], J @ covariance @ J.T)]
+    return float(np.degrees(np.sqrt(largest[0]))), float(np.sqrt(largest[1]))
