@@ -105,11 +105,9 @@ def other_frame(scan: MocapScan, scans: Sequence[MocapScan], T_lidar_mocap: Floa
     return f"; it fits the markers of {fitting[0]} instead: were they swapped?" if len(fitting) == 1 else ""
 
 
-def _vote(scans: Sequence[MocapScan], markers_by: Floats = np.ones(3)) -> Consensus:
-    """Find T_mocap_lidar, the markers' coordinates being multiplied by some numbers first."""
-    by_markers = [
-        fit_template(scan.estimate.target, scan.markers * markers_by, scan.name)[None] for scan in scans
-    ]
+def _vote(scans: Sequence[MocapScan], mirror: Floats | float = 1.0) -> Consensus:
+    """Find T_mocap_lidar, the markers' coordinates being multiplied by `mirror` first."""
+    by_markers = [fit_template(scan.estimate.target, scan.markers * mirror, scan.name)[None] for scan in scans]
     return relative_pose(by_markers, [scan.estimate.equivalent_poses for scan in scans])
 
 

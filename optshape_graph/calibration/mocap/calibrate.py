@@ -11,8 +11,8 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.mocap.agreement import Agreement, find_agreement, other_frame, without_fallen_marker
 from optshape_graph.calibration.mocap.comparison import MIN_MARKERS, MocapScan, in_sample, leave_one_out
-from optshape_graph.calibration.mocap.graph import MarkerModel, innovations, solve
-from optshape_graph.calibration.mocap.judgement import FEWEST, judge, limit_of
+from optshape_graph.calibration.mocap.graph import Innovation, MarkerModel, innovations, solve
+from optshape_graph.calibration.mocap.judgement import FEWEST, contradicting, judge
 from optshape_graph.calibration.mocap.layout import CheckedMarkers, marker_out_of_place
 from optshape_graph.calibration.mocap.result import LeftOut, MocapCalibration
 from optshape_graph.calibration.mocap.session import load_mocap_scans
@@ -104,12 +104,11 @@ def calibrate_scans(
     solution = solve(agreement.scans, agreement.T_lidar_mocap, model, used)
     chosen = tuple(agreement.scans[i] for i in used)
     rejected = tuple(
-        LeftOut(scan.name, _why(scan, agreement.scans, solution.T_lidar_mocap, compared[i][1]))
+        LeftOut(scan.name, _why(scan, agreement.scans, solution.T_lidar_mocap, compared[i].T_lidar_target))
         for i, scan in enumerate(agreement.scans) if i not in used
     )  # fmt: skip
     scatter = _scatter(chosen, [solution.T_target_lidar[i] for i in used])
     widening = max(1.0, scatter)
-    chi_square = tuple(compared[i][0] for i in used)
     return MocapCalibration(
         T_lidar_mocap=solution.T_lidar_mocap,
         covariance=solution.covariance * widening,
@@ -119,18 +118,16 @@ def calibrate_scans(
         scale_sigma=float(solution.scale_sigma * np.sqrt(widening)),
         T_lidar_target=tuple(inverse(solution.T_target_lidar[i]) for i in used),
         scatter=scatter,
-        chi_square=chi_square,
+        chi_square=tuple(compared[i].chi_square for i in used),
         leave_one_out=leave_one_out(chosen),
         in_sample=in_sample(chosen),
         scans=chosen,
         left_out=(*left_out, *rejected),
-        findings=(*findings, *of_scale, *judge(chosen, solution, model, scatter, chi_square, len(rejected))),
+        findings=(*findings, *of_scale, *judge(chosen, solution, model, scatter, compared, used)),
     )
 
 
-def _without_fallen(
-    scans: Sequence[MocapScan], checked: CheckedMarkers
-) -> tuple[tuple[MocapScan, ...], list[Finding]]:
+def _without_fallen(scans: Sequence[MocapScan], checked: CheckedMarkers) -> tuple[tuple[MocapScan, ...], list[Finding]]:
     """Leave out the marker that is not at its vertex, if the scans can do without it."""
     rest, k = without_fallen_marker(scans, checked.doubted)
     if any(np.isfinite(scan.markers).all(axis=1).sum() < MIN_MARKERS for scan in rest):
@@ -162,25 +159,21 @@ def _of_scale(agreement: Agreement, model: MarkerModel, used: Sequence[int]) -> 
 
 def _robustly(
     agreement: Agreement, model: MarkerModel, voted: Sequence[int]
-) -> tuple[list[int], dict[int, tuple[float, Floats]]]:
+) -> tuple[list[int], dict[int, Innovation]]:
     """Leave out the worst scan or take in those that turn out to agree, until nothing changes.
 
     Returns:
-        The numbers of the scans used, and how each compares with the others (see `innovations`).
+        The numbers of the scans used, and how every scan compares with them.
     """
-    used, tried = set(voted), set()
-    compared = innovations(agreement.scans, agreement.T_lidar_mocap, model, sorted(used))
-    while frozenset(used) not in tried:
-        tried.add(frozenset(used))
-        limit = limit_of([compared[i][0] for i in used])
-        worst = max(used, key=lambda i: compared[i][0])
-        agreeing = {i for i, (squared, _) in compared.items() if squared <= limit / 2}
-        if compared[worst][0] > limit and len(used) > FEWEST:
-            used = used - {worst}
-        else:
-            used = used | agreeing
+    used, tried = set(voted), list[set[int]]()
+    while True:
         compared = innovations(agreement.scans, agreement.T_lidar_mocap, model, sorted(used))
-    return sorted(used), compared
+        bad = contradicting(compared, used, model)
+        tried.append(used)
+        worst = next((i for i in bad if i in used), None)
+        used = used | (set(compared) - set(bad)) if worst is None or len(used) <= FEWEST else used - {worst}
+        if used in tried:
+            return sorted(tried[-1]), compared
 
 
 def _why(scan: MocapScan, scans: Sequence[MocapScan], T_lidar_mocap: Floats, predicted: Floats) -> str:

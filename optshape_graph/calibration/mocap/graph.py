@@ -1,10 +1,10 @@
 """The motion-capture graph: scans and markers of a session in one least-squares problem.
 
-    E     T_lidar_mocap
-    M_k   the marker near vertex k, target frame: a prior at the vertex, which alone tells a displacement of all markers
-          from one of the frame
-    H_i   T_target_lidar of scan i: its returns constrain it by the exact template factor, its markers by M and E
-    S     scale of the motion capture, where it is estimated
+E     T_lidar_mocap
+M_k   the marker near vertex k, target frame: a prior at the vertex, which alone tells a displacement of all markers
+from one of the frame
+H_i   T_target_lidar of scan i: its returns constrain it by the exact template factor, its markers by M and E
+S     scale of the motion capture, where it is estimated
 """
 
 from __future__ import annotations
@@ -66,6 +66,21 @@ class Solution:
     covariance_target_lidar: dict[int, Floats]
 
 
+@dataclass(frozen=True, eq=False)
+class Innovation:
+    """A scan's estimate against what its markers say by the returns of the other scans.
+
+    Attributes:
+        chi_square: squared Mahalanobis distance, with 6 degrees of freedom were all covariances right.
+        T_lidar_target: (4, 4) that the others predict.
+        rms: root mean square distance of the vertices, metres.
+    """
+
+    chi_square: float
+    T_lidar_target: Floats
+    rms: float
+
+
 def solve(
     scans: Sequence[MocapScan],
     T_lidar_mocap: Floats,
@@ -124,12 +139,14 @@ def solve(
 
 def innovations(
     scans: Sequence[MocapScan], T_lidar_mocap: Floats, model: MarkerModel, used: Collection[int]
-) -> dict[int, tuple[float, Floats]]:
-    """Compare every scan's estimate with what its markers say by the returns of the other used scans.
+) -> dict[int, Innovation]:
+    """Compare every scan, by its number, with the used ones but itself.
 
-    Returns:
-        By the scan's number the squared Mahalanobis distance (chi-square with 6 degrees of freedom, were all
-        covariances right), and the predicted T_lidar_target (4, 4).
+    Args:
+        scans: all of them.
+        T_lidar_mocap: (4, 4) where to start.
+        model: of the markers.
+        used: numbers of the scans that are believed.
 
     Raises:
         EstimationError: see `solve`.
@@ -139,11 +156,14 @@ def innovations(
         others = [k for k in used if k != i]
         if not others:
             continue
-        solution = solve(scans, T_lidar_mocap, model, others, [i])
+        solution, estimate = solve(scans, T_lidar_mocap, model, others, [i]), scan.estimate
         predicted = gtsam.Pose3(solution.T_target_lidar[i])
-        x = gtsam.Pose3.Logmap(predicted.between(gtsam.Pose3(scan.estimate.T_target_lidar)))
-        total = solution.covariance_target_lidar[i] + scan.estimate.covariance_target_lidar
-        found[i] = float(x @ np.linalg.solve(total, x)), inverse(solution.T_target_lidar[i])
+        x = gtsam.Pose3.Logmap(predicted.between(gtsam.Pose3(estimate.T_target_lidar)))
+        total = solution.covariance_target_lidar[i] + estimate.covariance_target_lidar
+        T = inverse(solution.T_target_lidar[i])
+        off = estimate.target.vertices @ T[:3, :3].T + T[:3, 3] - estimate.vertices
+        rms = float(np.sqrt((off**2).sum(axis=1).mean()))
+        found[i] = Innovation(float(x @ np.linalg.solve(total, x)), T, rms)
     return found
 
 

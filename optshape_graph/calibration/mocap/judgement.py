@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from scipy.stats import chi2
@@ -11,7 +11,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.calibration.free_shape import measure_shape
 from optshape_graph.calibration.mocap.agreement import placements
 from optshape_graph.calibration.mocap.comparison import MocapScan
-from optshape_graph.calibration.mocap.graph import MarkerModel, Solution
+from optshape_graph.calibration.mocap.graph import Innovation, MarkerModel, Solution
 from optshape_graph.calibration.verdict import Finding
 from optshape_graph.errors import EstimationError
 
@@ -21,21 +21,29 @@ FEWEST = 3
 FALSE_REJECTION = 1e-4
 """Probability that a good scan is left out, were its errors Gaussian."""
 
+OFF = 2.0
+"""Distance of the vertices from where they should be, in the layout's prior, below which a scan is not left out."""
+
 MOST_SCATTER = 16.0
 """Scatter that is taken for a sensor whose file is too sure of itself; beyond it, something is wrong."""
 
 LOOSEST = (3.0, 0.1)
 """Standard deviations of T_lidar_mocap at the targets, deg and metres, beyond which it is called open."""
 
-SIDES_OFF = 0.02
-"""Difference of a side, metres, that ring biases of real sensors make at close range beyond what their files say."""
-
-TYPICAL = float(chi2.median(6))
+SIZE_OFF = 0.025
+"""Share by which the sum of the sides is off where the file is called wrong; ring biases of real sensors make 1 %."""
 
 
-def limit_of(chi_squares: Sequence[float]) -> float:
-    """Return the squared distance beyond which a scan is left out, where typical ones are as given."""
-    return float(chi2.isf(FALSE_REJECTION, 6) * max(1.0, float(np.median(chi_squares)) / TYPICAL))
+def contradicting(compared: Mapping[int, Innovation], used: Collection[int], model: MarkerModel) -> list[int]:
+    """Return the numbers of the scans that contradict the used ones, the worst first.
+
+    One that does is beyond chance, where typical scans scatter as they do, and moves the vertices by more than the
+    markers may be away from them: what is less widens the covariance.
+    """
+    typical = max(1.0, float(np.median([compared[i].chi_square for i in used])) / float(chi2.median(6)))
+    limit = float(chi2.isf(FALSE_REJECTION, 6)) * typical
+    bad = [i for i, one in compared.items() if one.chi_square > limit and one.rms > OFF * model.layout_prior]
+    return sorted(bad, key=lambda i: -compared[i].chi_square)
 
 
 def judge(
@@ -43,8 +51,8 @@ def judge(
     solution: Solution,
     model: MarkerModel,
     scatter: float,
-    chi_squares: Sequence[float],
-    rejected: int,
+    compared: Mapping[int, Innovation],
+    used: Sequence[int],
 ) -> tuple[Finding, ...]:
     """Judge a solution by the scans that it is made of.
 
@@ -53,20 +61,20 @@ def judge(
         solution: of their graph.
         model: of the markers.
         scatter: of the scans about the solution, 1 where their covariances are right.
-        chi_squares: of each scan, against what the others say of it, with 6 degrees of freedom.
-        rejected: how many scans contradicted these, and were left out.
+        compared: every scan against the used ones, by its number.
+        used: numbers of the scans used.
     """
+    chi_square = float(np.mean([compared[i].chi_square for i in used]))
+    too_few = [scans[used.index(i)].name for i in contradicting(compared, used, model) if i in used]
     return (
-        *_of_number(scans, solution, scatter, rejected),
-        *_of_scatter(scans, scatter, chi_squares),
+        *_of_number(scans, solution, scatter, len(compared) - len(used)),
+        *_of_scatter(max(scatter, chi_square / 6), too_few),
         *_of_layout(scans, solution, model, scatter),
         *_of_shape(scans),
     )
 
 
-def _of_number(
-    scans: Sequence[MocapScan], solution: Solution, scatter: float, rejected: int
-) -> list[Finding]:
+def _of_number(scans: Sequence[MocapScan], solution: Solution, scatter: float, rejected: int) -> list[Finding]:
     degrees, metres = _sigmas(scans, solution, scatter)
     known = f"T_lidar_mocap is known to {degrees:.1f} deg and {1e3 * metres:.0f} mm (sd) at the targets"
     found = []
@@ -80,24 +88,24 @@ def _of_number(
         found.append(Finding(f"{known}: add scans nearer by, or at other places and angles", True))
     if rejected:
         total = len(scans) + rejected
-        found.append(Finding(f"{rejected} of {total} scans contradict the others and were left out", 3 * rejected > total))
+        found.append(
+            Finding(f"{rejected} of {total} scans contradict the others and were left out", 3 * rejected > total)
+        )
     return found
 
 
-def _of_scatter(scans: Sequence[MocapScan], scatter: float, chi_squares: Sequence[float]) -> list[Finding]:
-    found = []
-    left_out = float(np.mean(chi_squares)) / 6
-    if max(scatter, left_out) > MOST_SCATTER:
-        found.append(Finding(
-            f"the scans disagree {np.sqrt(max(scatter, left_out)):.1f} times as much as their covariances say: "
-            f"something is wrong with scans, markers or target that none of them shows alone", True,
-        ))  # fmt: skip
-    elif max(chi_squares) > limit_of(chi_squares):
-        worst = int(np.argmax(chi_squares))
-        found.append(Finding(
-            f"{scans[worst].name} contradicts the other scans, which are too few to show which of them is wrong", True
-        ))  # fmt: skip
-    return found
+def _of_scatter(scatter: float, contradicting_few: Sequence[str]) -> list[Finding]:
+    if scatter > MOST_SCATTER:
+        return [Finding(
+            f"the scans disagree {np.sqrt(scatter):.1f} times as much as their covariances say: something is wrong "
+            f"with scans, markers or target that none of them shows alone", True,
+        )]  # fmt: skip
+    if contradicting_few:
+        return [Finding(
+            f"{contradicting_few[0]} contradicts the other scans, which are too few to show which of them is wrong",
+            True,
+        )]  # fmt: skip
+    return []
 
 
 def _of_layout(scans: Sequence[MocapScan], solution: Solution, model: MarkerModel, scatter: float) -> list[Finding]:
@@ -122,9 +130,9 @@ def _of_shape(scans: Sequence[MocapScan]) -> list[Finding]:
         shape = measure_shape(returns, target)
     except EstimationError:  # no rings, or angles with noise: no shape to be told
         return []
-    if shape.agrees or np.abs(shape.joint.sides - target.edge_lengths).max() < SIDES_OFF:
-        return []
     ratio = float(shape.joint.sides.sum() / target.edge_lengths.sum())
+    if shape.agrees or abs(ratio - 1) < SIZE_OFF:
+        return []
     size = f"{100 * abs(ratio - 1):.1f} % {'longer' if ratio > 1 else 'shorter'}"
     sides = " ".join(f"{1e3 * side:.0f}" for side in shape.joint.sides)
     expected = " ".join(f"{1e3 * side:.0f}" for side in target.edge_lengths)

@@ -76,18 +76,17 @@ def check_markers(
     order, more = _renamed(target, places, names)
     mended, places = {number: frame[order] for number, frame in mended.items()}, places[order]
     findings += more
-    doubted: tuple[int, ...] = ()
     errors, rms = fit_error(target, places)
-    if rms < layout_prior:
-        findings += _of_size(target, places, layout_prior)
-    else:
-        doubted = _doubted(target, places, layout_prior)
-        worst = int(np.nanargmax(errors))
-        findings.append(Finding(
-            f"the markers are {rms:.3f} m (rms) from the vertices of target '{target.name}', that of vertex {worst} "
-            f"{errors[worst]:.3f} m; expected less than {layout_prior:.3f}", True,
-        ))  # fmt: skip
-        findings += [] if doubted else _of_size(target, places, layout_prior)
+    of_size = _of_size(target, places, layout_prior)
+    if rms < layout_prior or (of_size and fit_error(target, places / _size(target, places))[1] < layout_prior):
+        return CheckedMarkers(mended, left_out, (), (*findings, *of_size))
+    worst = int(np.nanargmax(errors))
+    text = (
+        f"the markers are {rms:.3f} m (rms) from the vertices of target '{target.name}', that of vertex {worst} "
+        f"{errors[worst]:.3f} m; expected less than {layout_prior:.3f}"
+    )
+    doubted = _doubted(target, places, layout_prior)
+    findings += [Finding(text, True), *([] if doubted else of_size)]
     return CheckedMarkers(mended, left_out, doubted, tuple(findings))
 
 
@@ -154,8 +153,10 @@ def _mend_frames(
             left_out[number] = f"the markers of frame {number} are not as far apart as in the other frames"
             mended[number] = np.full_like(frame, np.nan)
             continue
-        k = min(without, key=lambda k: float(np.nanmax(np.abs(_distances(np.delete(frame, k, 0)) - _without(usual, k)))))
-        others = [other for number_, other in frames.items() if number_ != number] or [target.vertices]
+        k = min(
+            without, key=lambda k: float(np.nanmax(np.abs(_distances(np.delete(frame, k, 0)) - _without(usual, k))))
+        )
+        others = [other for name, other in frames.items() if name != number] or [target.vertices]
         off = min(_distance_from(frame, other, k) for other in others)
         mended[number][k] = np.nan
         findings.append(Finding(
@@ -189,11 +190,8 @@ def _doubted(target: Target, places: Floats, layout_prior: float) -> tuple[int, 
 
 
 def _of_size(target: Target, places: Floats, layout_prior: float) -> list[Finding]:
-    seen = np.isfinite(places).all(axis=1)
-    if seen.sum() < MIN_MARKERS:
-        return []
-    spreads = [points[seen] - points[seen].mean(axis=0) for points in (places, target.vertices)]
-    found, expected = (float(np.sqrt((spread**2).sum(axis=1).mean())) for spread in spreads)
+    expected = float(np.sqrt((target.polygon**2).sum(axis=1).mean()))
+    found = expected * _size(target, places)
     if abs(found - expected) < LARGER * layout_prior:
         return []
     size = "larger" if found > expected else "smaller"
@@ -203,6 +201,13 @@ def _of_size(target: Target, places: Floats, layout_prior: float) -> list[Findin
         f"target's file?"
     )
     return [Finding(text, True)]
+
+
+def _size(target: Target, places: Floats) -> float:
+    """Return the size of the layout in sizes of the target, by the markers that are seen."""
+    seen = np.isfinite(places).all(axis=1)
+    spreads = [points[seen] - points[seen].mean(axis=0) for points in (places, target.vertices)]
+    return float(np.sqrt((spreads[0] ** 2).sum() / (spreads[1] ** 2).sum()))
 
 
 def _layout(frames: Mapping[int, Floats]) -> Floats:
@@ -239,10 +244,14 @@ def _median(stack: Floats) -> Floats:
     return np.where(known, np.nanmedian(np.where(known, stack, 0.0), axis=0), np.nan)
 
 
+def _worst(points: Floats, usual: Floats) -> float:
+    """Return by how much the distances between points (n, 3) differ from the usual ones (n, n) at most, metres."""
+    return float(np.nanmax(np.abs(_distances(points) - usual)))
+
+
 def _fits(points: Floats, usual: Floats, tolerance: float) -> bool:
     seen = np.isfinite(points).all(axis=1)
-    off = np.abs(_distances(points) - usual)
-    return bool(seen.sum() >= MIN_MARKERS and not (off > tolerance).any())
+    return bool(seen.sum() >= MIN_MARKERS and _worst(points, usual) <= tolerance)
 
 
 def _without(matrix: Floats, k: int) -> Floats:
@@ -250,7 +259,7 @@ def _without(matrix: Floats, k: int) -> Floats:
 
 
 def _renamings(n: int) -> Iterator[tuple[int, ...]]:
-    """Yield orders of n things other than their own: swaps of two first, then rotations and reversals, then the rest."""
+    """Yield the orders of n things but their own: swaps of two first, then rotations and reversals, then the rest."""
     own = tuple(range(n))
     swaps = []
     for a, b in combinations(own, 2):

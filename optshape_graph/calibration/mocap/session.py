@@ -65,9 +65,7 @@ def load_mocap_scans(
     return tuple(used), tuple(left_out), checked
 
 
-def _estimated(
-    name: str, view: View, session: Session, target: Target, checked: CheckedMarkers
-) -> MocapScan | LeftOut:
+def _estimated(name: str, view: View, session: Session, target: Target, checked: CheckedMarkers) -> MocapScan | LeftOut:
     frame = view.mocap_frame
     if frame is None:
         return LeftOut(name, "the session gives it no mocap_frame")
