@@ -34,7 +34,7 @@ from optshape_graph.calibration.camera.start import Start, find_start
 from optshape_graph.calibration.camera.uncertainty import Uncertainty
 from optshape_graph.calibration.free_shape import MeasuredShape, measure_shape
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 FOLDS = 5

@@ -31,7 +31,7 @@ from optshape_graph.calibration.images.projection import normalised, projection_
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.factors import CheckedFactor
-from optshape_graph.factors.se3 import adjoint
+from optshape_graph.se3 import adjoint
 
 PRINT_SIGMA_M = 1e-4
 """Standard deviation of a point's place in its pattern, metres."""

@@ -22,7 +22,7 @@ from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInS
 from optshape_graph.calibration.camera.uncertainty import Uncertainty, uncertainty_of
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.factors import TemplateFactor
-from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.se3 import adjoint, inverse
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import PlanarPose
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.factors import TemplateMeasurement
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 
@@ -140,7 +140,7 @@ def candidates(sighting: TargetInScan | TargetInImage, target: Target) -> tuple[
     """
     if isinstance(sighting, TargetInScan):
         poses = [(sighting.T_lidar_target, sighting.covariance)]
-        motions = tuple(_rotation(R) for R in target.symmetry_rotations)
+        motions = tuple(target.symmetry_transforms)
     else:
         poses = [(pose.T_camera_target, np.asarray(np.linalg.inv(pose.information))) for pose in sighting.poses]
         motions = sighting.points.symmetries
@@ -148,9 +148,3 @@ def candidates(sighting: TargetInScan | TargetInImage, target: Target) -> tuple[
     return tuple(
         Candidate(T @ inverse(S), adjoint(S) @ covariance @ adjoint(S).T, S) for S in motions for T, covariance in poses
     )
-
-
-def _rotation(R: Floats) -> Floats:
-    T = np.eye(4)
-    T[:3, :3] = R
-    return T

@@ -17,7 +17,7 @@ from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.calibration.consensus import CUT, Consensus, distances, relative_pose
 from optshape_graph.calibration.mocap.comparison import MocapScan, fit_template
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import angle, inverse
 
 MIRROR = np.array([1.0, -1.0, 1.0])
 """What makes left-handed coordinates right-handed; which axis is negated, or which two are swapped, is the same."""
@@ -81,8 +81,8 @@ def without_fallen_marker(scans: Sequence[MocapScan], doubted: Sequence[int]) ->
     """
     tried = []
     for k in doubted:
-        rest = [replace(scan, markers=_without(scan.markers, k)) for scan in scans]
-        tried.append((_vote(rest).cost, k, tuple(rest)))
+        rest = tuple(replace(scan, markers=_without(scan.markers, k)) for scan in scans)
+        tried.append((_vote(rest).cost, k, rest))
     _, k, rest = min(tried, key=lambda one: one[0])
     return rest, k
 
@@ -161,8 +161,8 @@ def _fit(T_lidar_mocap: Floats, T_mocap_target: Floats, T_lidar_target: Floats) 
 
 def _same_place(a: MocapScan, b: MocapScan) -> bool:
     A, B = a.estimate.T_lidar_target, b.estimate.T_lidar_target
-    angle = np.arccos(np.clip((np.trace(A[:3, :3].T @ B[:3, :3]) - 1) / 2, -1, 1))
-    return bool(np.linalg.norm(A[:3, 3] - B[:3, 3]) < SAME_PLACE[0] and angle < SAME_PLACE[1])
+    apart = np.linalg.norm(A[:3, 3] - B[:3, 3])
+    return bool(apart < SAME_PLACE[0] and angle(A[:3, :3].T @ B[:3, :3]) < SAME_PLACE[1])
 
 
 def _listed(scans: Sequence[MocapScan], found: Consensus) -> str:

@@ -18,9 +18,9 @@ from optshape_graph.calibration.mocap.result import LeftOut, MocapCalibration
 from optshape_graph.calibration.mocap.session import load_mocap_scans
 from optshape_graph.calibration.verdict import Finding
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.sessions import Session, load_session
 from optshape_graph.pose import refine
+from optshape_graph.se3 import angle, inverse
 
 SCALE_OFF = (0.01, 4.0)
 """Scale by which the motion capture is off at least, and in standard deviations, to be called so."""
@@ -179,7 +179,7 @@ def _robustly(
 def _why(scan: MocapScan, scans: Sequence[MocapScan], T_lidar_mocap: Floats, predicted: Floats) -> str:
     """Say how far a scan is from where the others put it, and whose markers it fits instead."""
     T = scan.estimate.T_lidar_target
-    turn = np.degrees(np.arccos(np.clip((np.trace(predicted[:3, :3].T @ T[:3, :3]) - 1) / 2, -1, 1)))
+    turn = np.degrees(angle(predicted[:3, :3].T @ T[:3, :3]))
     return (
         f"scan and markers (frame {scan.frame}) disagree by {np.linalg.norm(T[:3, 3] - predicted[:3, 3]):.3f} m and "
         f"{turn:.1f} deg with T_lidar_mocap of the other scans{other_frame(scan, scans, T_lidar_mocap)}"

@@ -19,6 +19,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import angle, apply, inverse
 from optshape_graph.target import Target
 
 MIN_MARKERS = 3
@@ -122,7 +123,7 @@ def assign_markers(target: Target, frames: Sequence[Floats]) -> tuple[int, ...]:
         total = 0.0
         for frame in whole:
             T = align(frame[list(order)], target.vertices)
-            total += float(np.sum((target.vertices @ T[:3, :3].T + T[:3, 3] - frame[list(order)]) ** 2))
+            total += float(np.sum((apply(T, target.vertices) - frame[list(order)]) ** 2))
         return total
 
     ranked = sorted((misfit(order), order) for order in permutations(range(len(target))))
@@ -153,7 +154,7 @@ def in_sample(scans: Sequence[MocapScan]) -> tuple[ScanError, ...]:
 
 def tie(scans: Sequence[MocapScan]) -> Floats:
     """Return T_lidar_mocap (4, 4) that brings the vertices fitted to markers nearest to those of the estimates."""
-    mocap = np.vstack([_apply(scan.T_mocap_target, scan.estimate.target.vertices) for scan in scans])
+    mocap = np.vstack([apply(scan.T_mocap_target, scan.estimate.target.vertices) for scan in scans])
     lidar = np.vstack([scan.estimate.vertices for scan in scans])
     return align(lidar, mocap)
 
@@ -177,11 +178,6 @@ def _error(scan: MocapScan, T_lidar_mocap: Floats) -> ScanError:
     target = scan.estimate.target
 
     T = scan.estimate.T_lidar_target
-    rmse = np.sqrt(np.mean(np.sum((scan.estimate.vertices - _apply(truth, target.vertices)) ** 2, axis=1)))
-    angle = np.linalg.norm(gtsam.Rot3.Logmap(gtsam.Rot3(truth[:3, :3].T @ T[:3, :3])))
+    rmse = np.sqrt(np.mean(np.sum((scan.estimate.vertices - apply(truth, target.vertices)) ** 2, axis=1)))
     e_t = np.linalg.norm(T[:3, 3] - truth[:3, 3])
-    return ScanError(scan.name, float(rmse), float(e_t), float(np.degrees(angle)))
-
-
-def _apply(T: Floats, points: Floats) -> Floats:
-    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+    return ScanError(scan.name, float(rmse), float(e_t), float(np.degrees(angle(inverse(truth) @ T))))

@@ -20,7 +20,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.calibration.mocap.comparison import MocapScan
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors import CheckedFactor, TemplateFactor
-from optshape_graph.factors.se3 import inverse, skew
+from optshape_graph.se3 import apply, difference, inverse, skew
 
 SCALE_PRIOR = 0.05
 """Standard deviation of the motion capture's scale about 1, where it is estimated."""
@@ -156,12 +156,12 @@ def innovations(
         others = [k for k in used if k != i]
         if not others:
             continue
-        solution, estimate = solve(scans, T_lidar_mocap, model, others, [i]), scan.estimate
-        predicted = gtsam.Pose3(solution.T_target_lidar[i])
-        x = gtsam.Pose3.Logmap(predicted.between(gtsam.Pose3(estimate.T_target_lidar)))
+        estimate, solution = scan.estimate, solve(scans, T_lidar_mocap, model, others, [i])
+        predicted = solution.T_target_lidar[i]
+        x = difference(predicted, estimate.T_target_lidar)
         total = solution.covariance_target_lidar[i] + estimate.covariance_target_lidar
-        T = inverse(solution.T_target_lidar[i])
-        off = estimate.target.vertices @ T[:3, :3].T + T[:3, 3] - estimate.vertices
+        T = inverse(predicted)
+        off = apply(T, estimate.target.vertices) - estimate.vertices
         rms = float(np.sqrt((off**2).sum(axis=1).mean()))
         found[i] = Innovation(float(x @ np.linalg.solve(total, x)), T, rms)
     return found

@@ -7,13 +7,13 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from scipy.stats import chi2
 
-from optshape_graph._arrays import Floats
 from optshape_graph.calibration.free_shape import measure_shape
 from optshape_graph.calibration.mocap.agreement import placements
 from optshape_graph.calibration.mocap.comparison import MocapScan
 from optshape_graph.calibration.mocap.graph import Innovation, MarkerModel, Solution
 from optshape_graph.calibration.verdict import Finding
 from optshape_graph.errors import EstimationError
+from optshape_graph.se3 import skew
 
 FEWEST = 3
 """Placements from which the others can show that one is wrong."""
@@ -147,9 +147,7 @@ def _sigmas(scans: Sequence[MocapScan], solution: Solution, scatter: float) -> t
     """Return the largest standard deviations of T_lidar_mocap at the middle of the targets, deg and metres."""
     middle = np.mean([scan.T_mocap_target[:3, 3] for scan in scans], axis=0)
     # A point of the motion-capture frame moves by R (omega x middle + v).
-    x, y, z = middle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     covariance = solution.covariance * max(1.0, scatter)
-    J: Floats = np.hstack([-cross, np.eye(3)])
+    J = np.hstack([-skew(middle), np.eye(3)])
     largest = [float(np.linalg.eigvalsh(block)[-1]) for block in (covariance[:3, :3], J @ covariance @ J.T)]
     return float(np.degrees(np.sqrt(largest[0]))), float(np.sqrt(largest[1]))

@@ -17,6 +17,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.calibration.mocap.comparison import MIN_MARKERS, align
 from optshape_graph.calibration.verdict import Finding
 from optshape_graph.errors import InputError
+from optshape_graph.se3 import apply
 from optshape_graph.target import Target
 
 TOLERANCE_M = 0.01
@@ -99,7 +100,7 @@ def fit_error(target: Target, places: Floats) -> tuple[Floats, float]:
     """Return the distances (n,), metres, of markers from their vertices after a rigid fit, and their rms; NaN: none."""
     seen = np.isfinite(places).all(axis=1)
     T = align(target.vertices[seen], places[seen])
-    errors = np.linalg.norm(places @ T[:3, :3].T + T[:3, 3] - target.vertices, axis=1)
+    errors = np.linalg.norm(apply(T, places) - target.vertices, axis=1)
     return errors, float(np.sqrt(np.mean(errors[seen] ** 2)))
 
 
@@ -137,7 +138,7 @@ def _mend_frames(
     findings: list[Finding] = []
     for number, frame in mended.items():
         tolerance = TOLERANCE_M if len(frames) > 2 else 5 * TOLERANCE_M
-        if _fits(frame, usual, tolerance):
+        if np.isfinite(frame).all(axis=1).sum() < MIN_MARKERS or _fits(frame, usual, tolerance):
             continue
         renaming = min(
             (order for order in _renamings(len(frame)) if _fits(frame[list(order)], usual, tolerance)),
@@ -219,18 +220,18 @@ def _layout(frames: Mapping[int, Floats]) -> Floats:
         common = np.isfinite(frame).all(axis=1) & np.isfinite(places).all(axis=1)
         if common.sum() >= MIN_MARKERS:
             T = align(places[common], frame[common])
-            moved.append(frame @ T[:3, :3].T + T[:3, 3])
+            moved.append(apply(T, frame))
     return _median(np.array(moved))
 
 
 def _distance_from(frame: Floats, other: Floats, k: int) -> float:
     """Return how far marker k of a frame is from where another frame has it, laid over it by the other markers."""
-    common = np.isfinite(frame).all(axis=1) & np.isfinite(other).all(axis=1)
+    common = np.asarray(np.isfinite(np.hstack([frame, other])).all(axis=1))
     if not common[k] or common.sum() <= MIN_MARKERS:
         return np.inf
-    common[k] = False
+    common = common & (np.arange(len(frame)) != k)
     T = align(frame[common], other[common])
-    return float(np.linalg.norm(frame[k] - T[:3, :3] @ other[k] - T[:3, 3]))
+    return float(np.linalg.norm(frame[k] - apply(T, other)[k]))
 
 
 def _distances(points: Floats) -> Floats:

@@ -8,7 +8,8 @@ from typing import Any
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.mocap.comparison import MocapScan, ScanError, mean_error
 from optshape_graph.calibration.verdict import NOT_TRUSTED, Finding, verdict
-from optshape_graph.factors.se3 import inverse, inverse_covariance
+from optshape_graph.se3 import inverse, inverse_covariance
+from optshape_graph.target import Target
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,11 @@ class MocapCalibration:
     scans: tuple[MocapScan, ...]
     left_out: tuple[LeftOut, ...]
     findings: tuple[Finding, ...]
+
+    @property
+    def target(self) -> Target:
+        """The target that was seen."""
+        return self.scans[0].estimate.target
 
     @property
     def T_mocap_lidar(self) -> Floats:
