@@ -238,7 +238,7 @@ def _mocap(node: Node, targets: Mapping[str, Target]) -> Mocap:
 
 
 def _corners(markers: Markers, targets: Mapping[str, Target]) -> dict[str, tuple[str, int]]:
-    """Markers called corner0, corner1, ... of the one target, others beside them; empty if not all corners are there."""
+    """Markers called corner0, corner1, ... of the one target; empty if some are missing and others are there."""
     if len(targets) != 1:
         return {}
     ((name, target),) = targets.items()
