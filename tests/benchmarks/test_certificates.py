@@ -25,7 +25,7 @@ def test_table_of_errors_certificates_and_margins() -> None:
         estimate = estimate_pose(case.scan, load_target("paper"))
         rows.append((case.name, estimate, errors(estimate, case.T_lidar_target)[1]))
     for k in (1, 3, 5):
-        scans, left_out = load_mocap_scans(load_session(SHARED / f"data/mocap/session{k}/session.yaml"))
+        scans, left_out, _ = load_mocap_scans(load_session(SHARED / f"data/mocap/session{k}/session.yaml"))
         assert left_out == ()
         rows += [(s.name, s.estimate, e.e_r_deg) for s, e in zip(scans, leave_one_out(scans), strict=True)]
     print(f"\n{'cloud':16s} {'e_r deg':>8s} {'status':>10s} {'certified':>9s} {'gap mm2':>9s} {'margin':>8s}")
