@@ -77,9 +77,14 @@ class DetectionOptions:
     thickest_limb: float = 0.12
     limb_slack: float = 3.0
     least_evidence: Evidence = field(
-        default=Evidence(contained=0.8, covered=0.6, edged=0.75, solid=0.9, free=0.75, stepped=0.75)
+        default=Evidence(
+            contained=0.8, covered=0.6, edged=0.75, solid=0.9, free=0.75, stepped=0.75, apart=0.5, seen=0.5
+        )
     )
     rim: float = 0.4
+    side_strip: float = 0.05
+    grazing: float = float(np.radians(85.0))
+    blooming: float = 0.025
     pierced_rays: int = 6
     pierced_share: float = 3.0
     rounds: int = 3

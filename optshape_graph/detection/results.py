@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -25,6 +25,9 @@ class Evidence:
             below a box on the floor, none do.
         stepped: of the ends of its rings, those where the range jumps back, or nothing returns: where a surface
             bends away, or something stands before it, there is no edge to be seen.
+        apart: of the rays just beyond the side where it is least, those that do not return from something that begins
+            at that side: the next face of a box, the floor.
+        seen: of its outline, what is within the field of view.
     """
 
     contained: float
@@ -33,11 +36,13 @@ class Evidence:
     solid: float
     free: float
     stepped: float
+    apart: float
+    seen: float
 
     @property
     def score(self) -> float:
         """Product of the shares."""
-        return self.contained * self.covered * self.edged * self.solid * self.free * self.stepped
+        return float(np.prod([getattr(self, field.name) for field in fields(self)]))
 
 
 @dataclass(frozen=True, eq=False)
