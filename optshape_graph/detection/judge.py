@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
+
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.detection.rays import Rays, fired_near, returned_near
 from optshape_graph.detection.results import Evidence
-from optshape_graph.detection.segments import Borders, OrderedScan, find_borders, ring_ends
+from optshape_graph.detection.segments import OrderedScan, find_borders, ring_ends
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.se3 import apply
 
 _CENTRAL = 1.96  # standard deviations about the plane within which 95 % of the returns lie
+_STRAYS = 0.1  # share of ring ends that lie anywhere: mixed, lost, or on what touches the target
 
 
 def edge_margin(scan: OrderedScan, estimate: PoseEstimate) -> float:
@@ -86,37 +89,37 @@ def judge(scan: OrderedScan, connected: Ints, own: Ints, estimate: PoseEstimate,
     expected = max(float(fired_inside.sum() - (inside & before).sum()), 1.0)
     n_on = float((inside & on).sum())
     borders = find_borders(scan, own)
+    ends = _Ends.of(scan, own, borders.hidden, estimate)
     return Evidence(
         contained=float(np.isin(connected, rays.rows[upto_rim]).mean()),
         covered=min(n_on / expected, 1.0),
-        edged=_edged(scan, own, borders, estimate),
+        edged=ends.edged,
         solid=n_on / max(n_on + float((inside & through).sum()), 1.0),
         free=max(1.0 - float((beside & (on | before)).sum()) / max(float(fired_beside.sum()), 1.0), 0.0),
         stepped=float(borders.open.mean()),
         apart=_apart(scan, estimate, rays, fired, band),
         seen=_seen(scan, estimate),
+        distinct=ends.distinct(2.0 * target.circumradius),
     )
 
 
-def objection(evidence: Evidence, least: Evidence) -> str:
-    """Say what speaks against a target that must reach the `least` shares; empty: nothing does."""
-    if evidence.contained < least.contained:
-        return f"{1 - evidence.contained:.0%} of the connected returns lie outside its outline"
-    if evidence.covered < least.covered:
-        return f"only {evidence.covered:.0%} of the rays that should meet it return from its plane"
-    if evidence.edged < least.edged:
-        return f"only {evidence.edged:.0%} of the ends of its rings lie on its outline"
-    if evidence.solid < least.solid:
-        return f"{1 - evidence.solid:.0%} of the returns inside its outline come from behind it"
-    if evidence.free < least.free:
-        return f"{1 - evidence.free:.0%} of the rays beside it return from its plane or from before it"
-    if evidence.stepped < least.stepped:
-        return not_stepped(evidence.stepped)
-    if evidence.apart < least.apart:
-        return f"something begins at one of its sides: {1 - evidence.apart:.0%} of the rays just beyond return from it"
-    if evidence.seen < least.seen:
-        return f"only {evidence.seen:.0%} of its outline is within the field of view"
-    return ""
+def objections(evidence: Evidence, least: Evidence) -> list[str]:
+    """Say what speaks against a target that must reach the `least` shares, the largest shortfall first."""
+    reasons = {
+        "contained": f"{1 - evidence.contained:.0%} of the connected returns lie outside its outline",
+        "covered": f"only {evidence.covered:.0%} of the rays that should meet it return from its plane",
+        "edged": f"only {evidence.edged:.0%} of the ends of its rings lie on its outline",
+        "solid": f"{1 - evidence.solid:.0%} of the returns inside its outline come from behind it",
+        "free": f"{1 - evidence.free:.0%} of the rays beside it return from its plane or from before it",
+        "stepped": not_stepped(evidence.stepped),
+        "apart": f"at one side {1 - evidence.apart:.0%} of the rays just beyond meet something that begins there",
+        "seen": f"only {evidence.seen:.0%} of its outline is within the field of view",
+        "distinct": "surfaces of other shapes look like it",
+    }
+    reached = {
+        field.name: getattr(evidence, field.name) / (getattr(least, field.name) or 1e-9) for field in fields(least)
+    }
+    return [reasons[name] for name in sorted(reasons, key=lambda name: reached[name]) if reached[name] < 1.0]
 
 
 def not_stepped(share: float) -> str:
@@ -124,27 +127,56 @@ def not_stepped(share: float) -> str:
     return f"only at {share:.0%} of the ends of its rings does the range jump back"
 
 
-def _edged(scan: OrderedScan, own: Ints, borders: Borders, estimate: PoseEstimate) -> float:
-    """Share of ring ends that lie where the outline's are expected: within two standard deviations.
+@dataclass(frozen=True, eq=False)
+class _Ends:
+    """Where the ends of rings lie about a target's outline, those that something hides left out.
 
-    A ring's last return lies up to a step inside the outline, uniformly. How much of a beam must hit shifts all of
-    them by up to half a beam, and each by as much again; a bright target blooms, and seems larger. Of these common
-    shifts the one that suits the ends best counts. Ends that something hides say nothing.
+    Attributes:
+        off: (S, M) distance of the boundary that each end stands for from the outline, metres, for common shifts.
+        sd: (M,) its standard deviation, metres.
     """
-    target, T = estimate.target, estimate.T_target_lidar
-    points, normal = scan.points[ring_ends(scan, own)], estimate.plane[:3]
-    onward = np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
-    outward = np.repeat([-1.0, 1.0], len(points) // 2)[:, None] * onward
-    outward -= points * ((outward @ normal) / (points @ normal))[:, None]
-    yz, step = (points @ T[:3, :3].T + T[:3, 3])[:, 1:], scan.resolution.step * (outward @ T[:3, :3].T)[:, 1:]
-    last_hit, first_miss = target.outside_distance(yz), target.outside_distance(yz + step)
-    boundary = 0.5 * (last_hit + first_miss)
-    beam, floor = scan.resolution.beam * np.linalg.norm(points, axis=1), scan.resolution.range_noise
-    most = float(beam.mean()) + floor
-    shifts = np.arange(-most, most + scan.options.blooming, 0.2 * most)[:, None]
-    variance = (first_miss - last_hit) ** 2 / 12 + beam**2 / 3 + (0.5 * floor) ** 2
-    near = (boundary - shifts) ** 2 < 4.0 * variance
-    return float(near[:, ~borders.hidden].mean(axis=1).max()) if not borders.hidden.all() else 0.0
+
+    off: Floats
+    sd: Floats
+
+    @classmethod
+    def of(cls, scan: OrderedScan, own: Ints, hidden: Bools, estimate: PoseEstimate) -> _Ends:
+        """Look at the ends of the rings on a target's returns, `own` (N,); `hidden` (2 M,) says which to leave out.
+
+        A ring's last return lies up to a step inside the outline, uniformly. How much of a beam must hit shifts all of
+        them by up to half a beam, and each by as much again; a bright target blooms, and seems larger.
+        """
+        target, T = estimate.target, estimate.T_target_lidar
+        points, normal = scan.points[ring_ends(scan, own)], estimate.plane[:3]
+        onward = np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
+        outward = np.repeat([-1.0, 1.0], len(points) // 2)[:, None] * onward
+        outward -= points * ((outward @ normal) / (points @ normal))[:, None]
+        yz, step = (points @ T[:3, :3].T + T[:3, 3])[:, 1:], scan.resolution.step * (outward @ T[:3, :3].T)[:, 1:]
+        last_hit, first_miss = target.outside_distance(yz), target.outside_distance(yz + step)
+        beam, floor = scan.resolution.beam * np.linalg.norm(points, axis=1), scan.resolution.range_noise
+        most = float(beam.mean()) + floor
+        shifts = np.arange(-most, most + scan.options.blooming, 0.2 * most)[:, None]
+        variance = (first_miss - last_hit) ** 2 / 12 + beam**2 / 3 + (0.5 * floor) ** 2
+        return cls((0.5 * (last_hit + first_miss) - shifts)[:, ~hidden], np.sqrt(variance)[~hidden])
+
+    @property
+    def edged(self) -> float:
+        """Share within two standard deviations of the outline, for the shift that suits them best."""
+        return float((np.abs(self.off) < 2.0 * self.sd).mean(axis=1).max()) if len(self.sd) else 0.0
+
+    def distinct(self, size: float) -> float:
+        """Probability that this is not one of as many surfaces of about a size, metres, and any shape.
+
+        Each end of such a surface lies anywhere within a fifth of the size. Pose and shift are fitted, so four ends
+        say nothing.
+        """
+        if not len(self.sd):
+            return 0.0
+        reach = 0.2 * size
+        fits = np.exp(-0.5 * (self.off / self.sd) ** 2) / (np.sqrt(2 * np.pi) * self.sd)
+        gain = np.log((1.0 - _STRAYS) * fits * reach + _STRAYS).sum(axis=1).max()
+        fitted = 2.0 * np.log(reach**2 / 12.0 / np.mean(self.sd**2) * max(len(self.sd) / 4.0, 1.0))
+        return float(1.0 / (1.0 + np.exp(min(fitted - gain, 700.0))))
 
 
 def _apart(scan: OrderedScan, estimate: PoseEstimate, rays: Rays, fired: Floats, band: float) -> float:
