@@ -14,7 +14,6 @@ from optshape_graph.detection.results import Detection, Evidence, Rejection
 from optshape_graph.detection.segments import OrderedScan, ring_ends
 from optshape_graph.errors import EstimationError
 from optshape_graph.pose import PoseEstimate, estimate_pose
-from optshape_graph.pose.estimate import AMBIGUITY_MARGIN
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
@@ -79,7 +78,7 @@ def identify(
     elif status == "ok" and evidence.distinct < options.certain_distinct:
         n_rings = len(np.unique(ordered.ring[best.rows]))
         status, reason = "ambiguous", f"the ends of its {n_rings} rings would fit surfaces of other shapes too"
-    if rival is not None and margin < AMBIGUITY_MARGIN:
+    if rival is not None and margin < options.pose.ambiguity_margin:
         likely = ", ".join(f"'{name}' {100 * p:.2g} %" for name, p in probabilities.items() if p > 1e-3)
         status, reason = "ambiguous", f"its returns do not tell the targets apart: {likely}"
     rows = best.rows[np.argsort(ordered.index[best.rows])]
@@ -130,7 +129,7 @@ def _fit(scan: Scan, ordered: OrderedScan, candidate: Candidate, rows: Ints, tar
     """Estimate the pose, and choose the returns again by its outline, until the ends of the rings stay the same."""
     for _ in range(ordered.options.rounds):
         try:
-            estimate = estimate_pose(scan.select(ordered.index[rows]), target)
+            estimate = estimate_pose(scan.select(ordered.index[rows]), target, options=ordered.options.pose)
         except EstimationError as error:
             return _Misfit(str(error), PASSED_AT_FIRST)
         margin = edge_margin(ordered, estimate)
@@ -161,4 +160,6 @@ def _likelihoods(scan: Scan, ordered: OrderedScan, fits: Sequence[_Fit]) -> Floa
     for fit in fits[1:]:
         common = np.intersect1d(common, fit.rows)
     returns = scan.select(ordered.index[common])
-    return np.array([estimate_pose(returns, fit.estimate.target).log_likelihood for fit in fits])
+    return np.array(
+        [estimate_pose(returns, fit.estimate.target, options=ordered.options.pose).log_likelihood for fit in fits]
+    )

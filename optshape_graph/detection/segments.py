@@ -93,9 +93,7 @@ class OrderedScan:
             centre: (3,) a point of the plane, metres.
         """
         cos_incidence = float(plane_normal @ centre / np.linalg.norm(centre))
-        return self.options.band_sigmas * float(
-            np.hypot(self.resolution.off_plane * cos_incidence, self.options.flatness)
-        )
+        return self.options.band_sigmas * float(np.hypot(self.resolution.off_plane * cos_incidence, self.options.warp))
 
     def near(self, centre: Floats, reach: float) -> Ints:
         """Return the rows of the returns within `reach` of a point (3,), metres, ascending."""
