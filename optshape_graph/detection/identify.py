@@ -10,6 +10,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.detection.candidates import Candidate, Size
 from optshape_graph.detection.judge import edge_margin, judge, objections, returns_of, undoubted
+from optshape_graph.detection.outline import Boundary, OutlineFit, first_look
 from optshape_graph.detection.results import Detection, Evidence, Rejection
 from optshape_graph.detection.segments import OrderedScan, ring_ends
 from optshape_graph.errors import EstimationError
@@ -36,7 +37,7 @@ class _Misfit:
 
 
 PASSED_AT_FIRST = 3
-"""Tests before a pose is estimated: of size, number of rings, and how they end."""
+"""Tests before a target's outline is laid over a candidate: of size, number of rings, and how they end."""
 
 
 def identify(
@@ -56,8 +57,9 @@ def identify(
     """
     fits: list[_Fit] = []
     rejected: list[Rejection] = []
-    for target, size in zip(targets, sizes, strict=True):
-        fit = _compare(scan, ordered, candidate, target, size)
+    looks = _first_looks(ordered, candidate, targets, sizes)
+    for target, look in zip(targets, looks, strict=True):
+        fit = look if isinstance(look, _Misfit) else _fit(scan, ordered, candidate, look, target)
         if isinstance(fit, _Misfit):
             rejected.append(rejection(candidate, fit.reason, fit.passed, target.name))
         else:
@@ -112,40 +114,54 @@ def rejection(candidate: Candidate, reason: str, passed: int, target: str = "") 
     )
 
 
-def _compare(scan: Scan, ordered: OrderedScan, candidate: Candidate, target: Target, size: Size) -> _Fit | _Misfit:
-    """Fit a target to a candidate, or say why it is not that target."""
-    problem = size.objection(candidate, ordered.options)
-    if problem:
-        return _Misfit(problem, 0)
-    fit = _fit(scan, ordered, candidate, candidate.rows, target)
-    if isinstance(fit, _Misfit) and len(candidate.core) < len(candidate.rows):
-        # A bit of a stand can pass for the tip of a target. Without it the pose may be found, and then the true tips.
-        again = _fit(scan, ordered, candidate, candidate.core, target)
-        return fit if isinstance(again, _Misfit) else again
-    return fit
+def _first_looks(
+    ordered: OrderedScan, candidate: Candidate, targets: Sequence[Target], sizes: Sequence[Size]
+) -> list[OutlineFit | _Misfit]:
+    """Lay the outline of each target over a candidate, and turn down those that cannot be it."""
+    options, looks = ordered.options, list[OutlineFit | _Misfit]()
+    boundary = Boundary.of(ordered, candidate.rows, candidate.plane)
+    for target, size in zip(targets, sizes, strict=True):
+        problem = size.objection(candidate, options)
+        looks.append(_Misfit(problem, 0) if problem else first_look(boundary, candidate.centroid, target))
+    best = max((look.log_odds for look in looks if isinstance(look, OutlineFit)), default=0.0)
+    for k, look in enumerate(looks):
+        if isinstance(look, _Misfit):
+            continue
+        if look.edged < options.first_look:
+            reason = f"at a first look only {look.edged:.0%} of the ends of its rings lie on its outline"
+            looks[k] = _Misfit(reason, PASSED_AT_FIRST)
+        elif look.log_odds < best - options.first_look_odds:
+            reason = (
+                f"at a first look another of the targets fits better (log odds {best:.0f} against {look.log_odds:.0f})"
+            )
+            looks[k] = _Misfit(reason, PASSED_AT_FIRST)
+    return looks
 
 
-def _fit(scan: Scan, ordered: OrderedScan, candidate: Candidate, rows: Ints, target: Target) -> _Fit | _Misfit:
+def _fit(scan: Scan, ordered: OrderedScan, candidate: Candidate, look: OutlineFit, target: Target) -> _Fit | _Misfit:
     """Estimate the pose, and choose the returns again by its outline, until the ends of the rings stay the same."""
+    margin = edge_margin(ordered, target, look.T_lidar_target, np.inf)
+    inside, passed = returns_of(ordered, target, look.T_lidar_target, margin), PASSED_AT_FIRST + 1
     for _ in range(ordered.options.rounds):
+        rows = inside
         try:
             estimate = estimate_pose(scan.select(ordered.index[rows]), target, options=ordered.options.pose)
         except EstimationError as error:
-            return _Misfit(str(error), PASSED_AT_FIRST)
-        margin = edge_margin(ordered, estimate)
-        inside = returns_of(ordered, estimate, margin)
+            return _Misfit(str(error), passed)
+        pose_sd = float(np.sqrt(np.linalg.eigvalsh(estimate.covariance[3:, 3:])[-1]))
+        margin = edge_margin(ordered, target, estimate.T_lidar_target, pose_sd)
+        inside = returns_of(ordered, target, estimate.T_lidar_target, margin)
         if len(inside) == 0:
-            return _Misfit("none of its returns lies inside the outline at the pose they give", PASSED_AT_FIRST)
+            return _Misfit("none of its returns lies inside the outline at the pose they give", passed)
         if np.array_equal(ring_ends(ordered, inside), ring_ends(ordered, rows)):
             break
-        rows = inside
     # A pose that is not determined is no objection to the target being there.
     if estimate.status == "failed" and not estimate.unobservable:
-        return _Misfit(estimate.reason, PASSED_AT_FIRST)
-    evidence = judge(ordered, candidate.rows, inside, estimate, margin)
+        return _Misfit(estimate.reason, passed)
+    evidence = judge(ordered, candidate, inside, estimate, margin)
     against = objections(evidence, ordered.options.least_evidence)
     if against:
-        return _Misfit("; ".join(against), PASSED_AT_FIRST + 1 + len(fields(evidence)) - len(against))
+        return _Misfit("; ".join(against), passed + 1 + len(fields(evidence)) - len(against))
     return _Fit(inside, estimate, evidence)
 
 

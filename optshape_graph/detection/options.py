@@ -100,4 +100,6 @@ class DetectionOptions:
     pierced_rays: int = 6
     pierced_share: float = 3.0
     rounds: int = 3
+    first_look: float = 0.6
+    first_look_odds: float = 30.0
     pose: PoseOptions = field(default_factory=PoseOptions)

@@ -1,0 +1,167 @@
+"""Lay a target's outline over the ends of rings, in their plane: a quick look before the pose is estimated, and after.
+
+The quick look tries every turn of the outline, with the centre of its area where the rings' area has its own. The best
+are worked out by Gauss-Newton steps with weights that let stray ends go (Cauchy's, narrowing). Beside turn and place,
+a common shift across the edges is fitted: how much of a beam must hit an edge, and how much a bright target blooms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph.detection.segments import OrderedScan, ring_ends
+from optshape_graph.pose.association import ReturnsPlane
+from optshape_graph.target import Target
+
+_ANGLES = np.linspace(0.0, 2 * np.pi, 36, endpoint=False)
+_STARTS = 4  # turns that are worked out
+_STEPS = 6  # of Gauss and Newton, from each
+_MOST_RINGS = 32  # that a quick look needs, evenly over all
+_STRAYS = 0.1  # share of ends that lie anywhere: mixed, lost, or on what touches the target
+_PLACE, _SHIFT = 0.2, 0.03  # prior standard deviations of the place and of the common shift, in circumradii
+_FITTED = 4  # numbers that are fitted: turn, place, shift
+
+
+@dataclass(frozen=True, eq=False)
+class Boundary:
+    """Where a surface ends, by the ends of its rings.
+
+    Attributes:
+        plane: of the surface.
+        at: (M, 2) where it is expected to end beyond each ring end, metres, along the plane's axes.
+        sd: (M,) standard deviation of that, metres.
+    """
+
+    plane: ReturnsPlane
+    at: Floats
+    sd: Floats
+
+    @classmethod
+    def of(cls, scan: OrderedScan, rows: Ints, plane: ReturnsPlane, hidden: Bools | None = None) -> Boundary:
+        """Look at the ends of the rings on a surface.
+
+        It ends half a step beyond a ring's last return, give or take that and the beam.
+
+        Args:
+            scan: the ordered scan.
+            rows: (N,) of it, the surface's returns.
+            plane: through them.
+            hidden: (2 R,) ends that say nothing, in the order of `ring_ends`; None: all say something.
+        """
+        ends = ring_ends(scan, rows)
+        if hidden is not None:
+            side, ends = np.repeat([-0.5, 0.5], len(ends) // 2)[~hidden], ends[~hidden]
+        else:
+            n_rings = len(ends) // 2
+            picked = np.unique(np.linspace(0, n_rings - 1, min(n_rings, _MOST_RINGS)).round().astype(int))
+            side, ends = np.repeat([-0.5, 0.5], len(picked)), np.concatenate([ends[picked], ends[n_rings + picked]])
+        points, normal = scan.points[ends], plane.axes[0]
+        outward = np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
+        outward *= (side * scan.resolution.step)[:, None]
+        outward -= points * ((outward @ normal) / (points @ normal))[:, None]
+        beam = scan.resolution.beam * np.linalg.norm(points, axis=1)
+        variance = (outward**2).sum(axis=1) / 3.0 + beam**2 / 3.0 + scan.resolution.range_noise**2
+        return cls(plane, (points + outward - plane.centre) @ plane.axes[1:].T, np.sqrt(variance))
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineFit:
+    """A target's outline laid over a boundary.
+
+    Attributes:
+        T_lidar_target: (4, 4).
+        edged: share of the ends within two standard deviations of the outline.
+        log_odds: of this shape against any other of its size, an end of which lies anywhere within a fifth of it.
+    """
+
+    T_lidar_target: Floats
+    edged: float
+    log_odds: float
+
+
+def first_look(boundary: Boundary, centroid: Floats, target: Target) -> OutlineFit:
+    """Lay a target's outline over a boundary, turned any way.
+
+    Args:
+        boundary: of a surface.
+        centroid: (2,) of the surface's area, along the plane's axes, metres.
+        target: the template.
+    """
+    start = np.tile(_centroid(target), (len(_ANGLES), 1))
+    off = _outside(_ANGLES, start, boundary.at - centroid, target)[0]
+    rough = np.log1p((off / (0.1 * target.circumradius)) ** 2).sum(axis=1)
+    lowest = np.flatnonzero((rough <= np.roll(rough, 1)) & (rough <= np.roll(rough, -1)))
+    angle = _ANGLES[lowest[np.argsort(rough[lowest])[:_STARTS]]]
+    return _work_out(boundary, centroid, target, angle, start[: len(angle)], 0.1)
+
+
+def look_again(boundary: Boundary, target: Target, T_lidar_target: Floats) -> OutlineFit:
+    """Lay a target's outline over a boundary, at a pose (4, 4) and near it."""
+    left, up = boundary.plane.axes[1:]
+    y, z = T_lidar_target[:3, 1], T_lidar_target[:3, 2]
+    middle = boundary.at.mean(axis=0)
+    place = boundary.plane.centre + middle @ boundary.plane.axes[1:] - T_lidar_target[:3, 3]
+    angle = np.arctan2(z @ left - y @ up, y @ left + z @ up)
+    return _work_out(boundary, middle, target, np.array([angle]), np.array([[place @ y, place @ z]]), 0.02)
+
+
+def _outside(angle: Floats, t: Floats, q: Floats, target: Target) -> tuple[Floats, Floats, Floats]:
+    """Distance (K, M) of points q (M, 2) outside the outline, the side's normal (K, M, 2), and the points turned."""
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    turned = np.stack([c * q[:, 0] - s * q[:, 1], s * q[:, 0] + c * q[:, 1]], axis=-1)
+    beyond = (turned + t[:, None]) @ target.normals.T - target.offsets
+    side = beyond.argmax(axis=-1)
+    return np.take_along_axis(beyond, side[..., None], axis=-1)[..., 0], target.normals[side], turned
+
+
+def _work_out(
+    boundary: Boundary, middle: Floats, target: Target, angle: Floats, start: Floats, width: float
+) -> OutlineFit:
+    """Work out the best of some starts.
+
+    Args:
+        boundary: of a surface.
+        middle: (2,) that is turned about, metres.
+        target: the template.
+        angle: (K,) turns, rad.
+        start: (K, 2) where the middle is in the target's frame, metres.
+        width: of the weights at first, in circumradii.
+    """
+    size, sd, q = target.circumradius, boundary.sd, boundary.at - middle
+    t, shift = start, np.zeros(len(angle))
+    prior = np.diag([0.0, (_PLACE * size) ** -2, (_PLACE * size) ** -2, (_SHIFT * size) ** -2])
+    for step in range(_STEPS):
+        off, normal, turned = _outside(angle, t, q, target)
+        off = off - shift[:, None]
+        about = normal[..., 1] * turned[..., 0] - normal[..., 0] * turned[..., 1]
+        J = np.concatenate([about[..., None], normal, -np.ones((*off.shape, 1))], axis=-1)
+        weighted = J / (np.maximum(sd, width * size * 0.4**step) ** 2 + off**2)[..., None]
+        drift = np.column_stack([np.zeros(len(angle)), t - start, shift])
+        gradient = (weighted * off[..., None]).sum(axis=1) + drift @ prior
+        information = np.swapaxes(weighted, 1, 2) @ J + prior + 1e-9 * np.eye(_FITTED)
+        change = np.linalg.solve(information, -gradient[..., None])[..., 0]
+        angle, t, shift = angle + change[:, 0], t + change[:, 1:3], shift + change[:, 3]
+    off = (_outside(angle, t, q, target)[0] - shift[:, None]) / sd
+    # A surface of another shape ends anywhere within the reach; what is fitted takes its share of the odds.
+    reach = 0.4 * size
+    fits = np.exp(-0.5 * off**2) * reach / (np.sqrt(2 * np.pi) * sd)
+    gain = np.log((1.0 - _STRAYS) * fits + _STRAYS).sum(axis=1) - 0.5 * (shift / (_SHIFT * size)) ** 2
+    cost = 0.5 * _FITTED * np.log(max(len(sd) / _FITTED, 1.0) * reach**2 / (12.0 * np.mean(sd**2)))
+    best = int(gain.argmax())
+    axes = np.eye(3)
+    axes[1:, 1:] = [[np.cos(angle[best]), -np.sin(angle[best])], [np.sin(angle[best]), np.cos(angle[best])]]
+    plane, T = boundary.plane, np.eye(4)
+    T[:3, :3] = (axes @ plane.axes).T
+    T[:3, 3] = plane.centre + middle @ plane.axes[1:] - T[:3, 1:3] @ t[best]
+    return OutlineFit(T, float((np.abs(off[best]) < 2.0).mean()), float(gain[best] - cost))
+
+
+def _centroid(target: Target) -> Floats:
+    """(2,) centroid of a target's area, metres."""
+    polygon = target.polygon
+    following = np.roll(polygon, -1, axis=0)
+    cross = polygon[:, 0] * following[:, 1] - following[:, 0] * polygon[:, 1]
+    return np.asarray(cross @ (polygon + following) / (6.0 * target.area))
