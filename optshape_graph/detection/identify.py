@@ -76,7 +76,7 @@ def identify(
     probabilities = {fits[k].estimate.target.name: float(p) for k, p in zip(order, share, strict=True)}
     evidence, options = best.evidence, ordered.options
     if status == "ok" and evidence.seen < options.certain_seen:
-        status, reason = "ambiguous", f"only {evidence.seen:.0%} of its outline is within the field of view"
+        status, reason = "ambiguous", f"only {evidence.seen:.0%} of its outline can be seen"
     elif status == "ok" and evidence.distinct < options.certain_distinct:
         n_rings = len(np.unique(ordered.ring[best.rows]))
         status, reason = "ambiguous", f"the ends of its {n_rings} rings would fit surfaces of other shapes too"

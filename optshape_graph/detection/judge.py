@@ -97,6 +97,7 @@ def judge(scan: OrderedScan, candidate: Candidate, own: Ints, estimate: PoseEsti
     n_on = float((inside & on).sum())
     borders = find_borders(scan, own)
     look = look_again(Boundary.of(scan, own, candidate.plane, borders.hidden), target, estimate.T_lidar_target)
+    apart, hidden = _beyond_sides(scan, estimate, rays, fired, band)
     return Evidence(
         contained=float(np.isin(candidate.rows, rays.rows[upto_rim]).mean()),
         covered=min(n_on / expected, 1.0),
@@ -104,8 +105,8 @@ def judge(scan: OrderedScan, candidate: Candidate, own: Ints, estimate: PoseEsti
         solid=n_on / max(n_on + float((inside & through).sum()), 1.0),
         free=max(1.0 - float((beside & (on | before)).sum()) / max(float(fired_beside.sum()), 1.0), 0.0),
         stepped=float(borders.open.mean()),
-        apart=_apart(scan, estimate, rays, fired, band),
-        seen=_seen(scan, estimate),
+        apart=apart,
+        seen=_in_view(scan, estimate) * (1.0 - hidden),
         distinct=float(1.0 / (1.0 + np.exp(-max(look.log_odds, -700.0)))),
     )
 
@@ -120,7 +121,7 @@ def objections(evidence: Evidence, least: Evidence) -> list[str]:
         "free": f"{1 - evidence.free:.0%} of the rays beside it return from its plane or from before it",
         "stepped": not_stepped(evidence.stepped),
         "apart": f"at one side {1 - evidence.apart:.0%} of the rays just beyond meet something that begins there",
-        "seen": f"only {evidence.seen:.0%} of its outline is within the field of view",
+        "seen": f"only {evidence.seen:.0%} of its outline can be seen",
         "distinct": "surfaces of other shapes look like it",
     }
     reached = {
@@ -134,8 +135,11 @@ def not_stepped(share: float) -> str:
     return f"only at {share:.0%} of the ends of its rings does the range jump back"
 
 
-def _apart(scan: OrderedScan, estimate: PoseEstimate, rays: Rays, fired: Floats, band: float) -> float:
-    """Share of the rays just beyond a side that do not return from something that begins there, at the worst side.
+def _beyond_sides(
+    scan: OrderedScan, estimate: PoseEstimate, rays: Rays, fired: Floats, band: float
+) -> tuple[float, float]:
+    """Share of the rays just beyond a side that do not meet something that begins there, at the worst side; and share
+    of the rays just beyond all sides that something before the target stops.
 
     A surface through the side, like the next face of a box, is met by a ray that misses the side by q within
     q / cos(incidence) of it. What stands behind a target is further away. In front of a target the floor may be seen
@@ -178,10 +182,12 @@ def _apart(scan: OrderedScan, estimate: PoseEstimate, rays: Rays, fired: Floats,
     rim = np.maximum(strip, options.rim * target.offsets.min())
     behind = attached(strip, options.steepest, rays.points[:, 0] > band)
     before = attached(rim, options.grazing, rays.points[:, 0] < -band)
-    return max(1.0 - max(behind, before), 0.0)
+    stopped = (rays.points[:, 0] < -band) & (outside > 0) & (outside < strip[side])
+    expected = ((fired_outside > 0) & (fired_outside < strip[fired_side])).sum()
+    return max(1.0 - max(behind, before), 0.0), min(float(stopped.sum() / max(expected, 1)), 1.0)
 
 
-def _seen(scan: OrderedScan, estimate: PoseEstimate) -> float:
+def _in_view(scan: OrderedScan, estimate: PoseEstimate) -> float:
     """Share of the outline that is within the sensor's field of view."""
     corner = estimate.vertices
     part = np.linspace(0.0, 1.0, 20, endpoint=False)[:, None, None]

@@ -82,13 +82,13 @@ class DetectionOptions:
         default=Evidence(
             contained=0.8,
             covered=0.6,
-            edged=0.75,
+            edged=0.8,
             solid=0.9,
             free=0.75,
             stepped=0.75,
             apart=0.5,
-            seen=0.3,
-            distinct=0.0,
+            seen=0.6,
+            distinct=0.05,
         )
     )
     rim: float = 0.4

@@ -27,7 +27,7 @@ class Evidence:
             bends away, or something stands before it, there is no edge to be seen.
         apart: of the rays just beyond the side where it is least, those that do not return from something that begins
             at that side: the next face of a box, the floor.
-        seen: of its outline, what is within the field of view.
+        seen: of its outline, what is within the field of view and not hidden.
         distinct: probability that it is not one of as many surfaces of other shapes: the ends of few rings fit any.
     """
 
