@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import fields
 
 import numpy as np
+from scipy.special import expit
 
 from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.detection.candidates import Candidate
-from optshape_graph.detection.outline import Boundary, look_again
+from optshape_graph.detection.outline import Boundary, look_again, rectangle_log_odds
 from optshape_graph.detection.rays import Rays, fired_near, returned_near
 from optshape_graph.detection.results import Evidence
 from optshape_graph.detection.segments import OrderedScan, find_borders
@@ -16,6 +17,7 @@ from optshape_graph.pose import PoseEstimate
 from optshape_graph.se3 import apply
 from optshape_graph.target import Target
 
+_ALIKE = 14.0  # log odds that a rectangle is spared, for nothing tells it from another of nearly its size
 _CENTRAL = 1.96  # standard deviations about the plane within which 95 % of the returns lie
 
 
@@ -96,7 +98,10 @@ def judge(scan: OrderedScan, candidate: Candidate, own: Ints, estimate: PoseEsti
     expected = max(float(fired_inside.sum() - (inside & before).sum()), 1.0)
     n_on = float((inside & on).sum())
     borders = find_borders(scan, own)
-    look = look_again(Boundary.of(scan, own, candidate.plane, borders.hidden), target, estimate.T_lidar_target)
+    boundary = Boundary.of(scan, own, candidate.plane, borders.hidden)
+    look = look_again(boundary, target, estimate.T_lidar_target)
+    rectangle = rectangle_log_odds(boundary, target.circumradius)
+    against_rectangle = look.log_odds - rectangle + (_ALIKE if _is_rectangle(target) else 0.0)
     apart, hidden = _beyond_sides(scan, estimate, rays, fired, band)
     return Evidence(
         contained=float(np.isin(candidate.rows, rays.rows[upto_rim]).mean()),
@@ -107,7 +112,7 @@ def judge(scan: OrderedScan, candidate: Candidate, own: Ints, estimate: PoseEsti
         stepped=float(borders.open.mean()),
         apart=apart,
         seen=_in_view(scan, estimate) * (1.0 - hidden),
-        distinct=float(1.0 / (1.0 + np.exp(-max(look.log_odds, -700.0)))),
+        distinct=float(expit(min(look.log_odds, against_rectangle))),
     )
 
 
@@ -185,6 +190,11 @@ def _beyond_sides(
     stopped = (rays.points[:, 0] < -band) & (outside > 0) & (outside < strip[side])
     expected = ((fired_outside > 0) & (fired_outside < strip[fired_side])).sum()
     return max(1.0 - max(behind, before), 0.0), min(float(stopped.sum() / max(expected, 1)), 1.0)
+
+
+def _is_rectangle(target: Target) -> bool:
+    corners = (target.normals * np.roll(target.normals, 1, axis=0)).sum(axis=1)
+    return len(target) == 4 and bool((np.abs(corners) < 0.02).all())
 
 
 def _in_view(scan: OrderedScan, estimate: PoseEstimate) -> float:

@@ -88,7 +88,7 @@ class DetectionOptions:
             stepped=0.75,
             apart=0.5,
             seen=0.6,
-            distinct=0.05,
+            distinct=1e-4,
         )
     )
     rim: float = 0.4

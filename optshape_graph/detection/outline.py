@@ -74,7 +74,7 @@ class OutlineFit:
     Attributes:
         T_lidar_target: (4, 4).
         edged: share of the ends within two standard deviations of the outline.
-        log_odds: of this shape against any other of its size, an end of which lies anywhere within a fifth of it.
+        log_odds: of this shape against any other of its size, whose ends lie anywhere within a fifth of it.
     """
 
     T_lidar_target: Floats
@@ -110,8 +110,7 @@ def look_again(boundary: Boundary, target: Target, T_lidar_target: Floats) -> Ou
 
 def _outside(angle: Floats, t: Floats, q: Floats, target: Target) -> tuple[Floats, Floats, Floats]:
     """Distance (K, M) of points q (M, 2) outside the outline, the side's normal (K, M, 2), and the points turned."""
-    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    turned = np.stack([c * q[:, 0] - s * q[:, 1], s * q[:, 0] + c * q[:, 1]], axis=-1)
+    turned = _turned(angle, q)
     beyond = (turned + t[:, None]) @ target.normals.T - target.offsets
     side = beyond.argmax(axis=-1)
     return np.take_along_axis(beyond, side[..., None], axis=-1)[..., 0], target.normals[side], turned
@@ -144,19 +143,72 @@ def _work_out(
         information = np.swapaxes(weighted, 1, 2) @ J + prior + 1e-9 * np.eye(_FITTED)
         change = np.linalg.solve(information, -gradient[..., None])[..., 0]
         angle, t, shift = angle + change[:, 0], t + change[:, 1:3], shift + change[:, 3]
-    off = (_outside(angle, t, q, target)[0] - shift[:, None]) / sd
-    # A surface of another shape ends anywhere within the reach; what is fitted takes its share of the odds.
-    reach = 0.4 * size
-    fits = np.exp(-0.5 * off**2) * reach / (np.sqrt(2 * np.pi) * sd)
-    gain = np.log((1.0 - _STRAYS) * fits + _STRAYS).sum(axis=1) - 0.5 * (shift / (_SHIFT * size)) ** 2
-    cost = 0.5 * _FITTED * np.log(max(len(sd) / _FITTED, 1.0) * reach**2 / (12.0 * np.mean(sd**2)))
-    best = int(gain.argmax())
+    off = _outside(angle, t, q, target)[0] - shift[:, None]
+    log_odds = _log_odds(off, sd, size, _FITTED) - 0.5 * (shift / (_SHIFT * size)) ** 2
+    best = int(log_odds.argmax())
     axes = np.eye(3)
     axes[1:, 1:] = [[np.cos(angle[best]), -np.sin(angle[best])], [np.sin(angle[best]), np.cos(angle[best])]]
     plane, T = boundary.plane, np.eye(4)
     T[:3, :3] = (axes @ plane.axes).T
     T[:3, 3] = plane.centre + middle @ plane.axes[1:] - T[:3, 1:3] @ t[best]
-    return OutlineFit(T, float((np.abs(off[best]) < 2.0).mean()), float(gain[best] - cost))
+    return OutlineFit(T, float((np.abs(off[best]) < 2.0 * sd).mean()), float(log_odds[best]))
+
+
+def rectangle_log_odds(boundary: Boundary, size: float) -> float:
+    """Return the log odds of a rectangle of any size, as `OutlineFit.log_odds` of a target.
+
+    Most flat surfaces are rectangles: faces of boxes, doors, signs, screens.
+
+    Args:
+        boundary: of a surface.
+        size: of the target that it is compared with: its circumradius, metres.
+    """
+    q, sd = boundary.at - np.median(boundary.at, axis=0), boundary.sd
+    extent = float(np.linalg.norm(q, axis=1).max())
+    # Turned any way, its sides are where most ends lie; the best turns are worked out, turn and sides being free.
+    angle = np.linspace(0.0, np.pi / 2, 18, endpoint=False)
+    turned = _turned(angle, q)
+    inner, outer = np.percentile(turned, [6.0, 94.0], axis=1)
+    off = np.abs(np.concatenate([turned - inner[:, None], outer[:, None] - turned], axis=-1)).min(axis=-1)
+    start = np.argsort(np.log1p((off / (0.1 * extent)) ** 2).sum(axis=1))[:_STARTS]
+    fitted = np.column_stack([angle, outer, -inner])[start]
+    for step in range(_STEPS):
+        off, side, turned = _outside_rectangle(fitted, q)
+        normal = _RIGHT_ANGLES[side]
+        about = normal[..., 1] * turned[..., 0] - normal[..., 0] * turned[..., 1]
+        J = np.concatenate([about[..., None], -np.eye(4)[side]], axis=-1)
+        weighted = J / (np.maximum(sd, 0.1 * size * 0.4**step) ** 2 + off**2)[..., None]
+        information = np.swapaxes(weighted, 1, 2) @ J + np.eye(5) * (0.5 * size) ** -2
+        fitted = fitted - np.linalg.solve(information, (weighted * off[..., None]).sum(axis=1)[..., None])[..., 0]
+    return float(_log_odds(_outside_rectangle(fitted, q)[0], sd, size, 5).max())
+
+
+_RIGHT_ANGLES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+
+
+def _outside_rectangle(fitted: Floats, q: Floats) -> tuple[Floats, Ints, Floats]:
+    """Distance (K, M) of points outside rectangles (K, 5) of a turn and four sides, the side's number, the points."""
+    turned = _turned(fitted[:, 0], q)
+    beyond = turned @ _RIGHT_ANGLES.T - fitted[:, None, 1:]
+    side = beyond.argmax(axis=-1)
+    return np.take_along_axis(beyond, side[..., None], axis=-1)[..., 0], side, turned
+
+
+def _turned(angle: Floats, q: Floats) -> Floats:
+    """(K, M, 2) points (M, 2) turned by angles (K,)."""
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    return np.stack([c * q[:, 0] - s * q[:, 1], s * q[:, 0] + c * q[:, 1]], axis=-1)
+
+
+def _log_odds(off: Floats, sd: Floats, size: float, n_fitted: int) -> Floats:
+    """(K,) log odds of shapes, the ends being off by (K, M) metres, against one whose ends lie anywhere in reach.
+
+    What is fitted takes its share of the odds.
+    """
+    reach = 0.4 * size
+    fits = np.exp(-0.5 * (off / sd) ** 2) * reach / (np.sqrt(2 * np.pi) * sd)
+    cost = 0.5 * n_fitted * np.log(max(len(sd) / n_fitted, 1.0) * reach**2 / (12.0 * np.mean(sd**2)))
+    return np.asarray(np.log((1.0 - _STRAYS) * fits + _STRAYS).sum(axis=1) - cost)
 
 
 def _centroid(target: Target) -> Floats:

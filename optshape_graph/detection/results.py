@@ -28,7 +28,7 @@ class Evidence:
         apart: of the rays just beyond the side where it is least, those that do not return from something that begins
             at that side: the next face of a box, the floor.
         seen: of its outline, what is within the field of view and not hidden.
-        distinct: probability that it is not one of as many surfaces of other shapes: the ends of few rings fit any.
+        distinct: probability that it is no surface of another shape, such as a rectangle: few ring ends fit any.
     """
 
     contained: float
