@@ -23,6 +23,7 @@ from optshape_graph.pose.estimate import (
     unobservable_directions,
 )
 from optshape_graph.pose.evidence import alternative_labels, exit_probability, missed_rings, vertices_in_lidar
+from optshape_graph.pose.fit import Evidence, Fit, measure_fit
 from optshape_graph.pose.firing import place_on_firings
 from optshape_graph.pose.likelihood import Firings
 from optshape_graph.pose.modes import Candidates, log, modes_by_association, modes_by_samples
@@ -37,6 +38,8 @@ from optshape_graph.pose.propagation import (
     propagate,
     ring_shifts,
 )
+from optshape_graph.pose.outline import fit_ends, tilt_of_rings
+from optshape_graph.pose.surface import SEEN, PlaneResiduals, surface
 from optshape_graph.pose.sdp import Backend, certify
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
@@ -55,11 +58,23 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     Raises:
         EstimationError: the returns determine no pose at all.
     """
+    tilt = tilt_of_rings(scan)
     scan, angular_noise = level_rings(scan)
     edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
     plane = fit_plane(scan.points, scan.ring)
     returns = returns_on_plane(scan.points, scan.ring, plane.axes[0], plane.distance, scan.sensor, angular_noise)
-    on_plane = plane_measurement(returns, [f"range bias of ring {k}" for k in returns.rings])
+    off_plane = PlaneResiduals.of_returns(returns, plane, target)
+    shape = surface(off_plane)
+    noise_factor, bias_factor = off_plane.noise / off_plane.file_noise, off_plane.bias / off_plane.file_bias
+    widened = returns.widened(noise_factor, bias_factor)
+    names = [f"range bias of ring {k}" for k in returns.rings]
+    if shape.size > 0:
+        widened = widened.with_shared(2 * shape.size * off_plane.terms[:, :3])
+        names += ["surface offset", "surface tilt about z", "surface tilt about y"]
+    if off_plane.excess > 0:
+        widened = widened.with_shared(np.full((len(scan), 1), off_plane.excess))
+        names.append("range offset")
+    on_plane = plane_measurement(widened.select(off_plane.usual), names)
     # Where rings in between are lost, the next one may be lost too; with noisy azimuths a lone return of the outermost
     # ring may lie beside the target. Neither bounds anything.
     complete = edges.n_rings == edges.ring[-1] - edges.ring[0] + 1
@@ -75,6 +90,12 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
         modes = modes_by_association(candidates, target)
     candidates, same, ambiguity = modes.candidates, modes.best, modes.ambiguity
     on_edges, edge_weight = _edge_measurement(problem, candidates, same)
+    first = candidates.posterior.select(slice(0, 1))
+    ends = fit_ends(replace(problem, edges=edges), first.T_target_lidar[0], first.geometry.labels[0, : len(edges)])
+    edge_factor = float(np.sqrt(max(1.0, ends.clipped_mean_square / 1.15)))
+    if ends.strain_probability < SEEN:
+        on_edges, edge_weight = _edge_measurement(problem, candidates, same, ends.strain)
+    on_edges, edge_weight = replace(on_edges, stack=on_edges.stack / edge_factor), edge_weight / edge_factor**2
     shared = on_edges + on_plane
     measurement = shared.marginal(1.0)
     T_target_lidar = refine(measurement)
@@ -90,7 +111,9 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
     residuals = final.residual[0] + inset * final.along[0]
     unobservable = unobservable_directions(covariance, target.circumradius)
     explained = _explained(problem, final, float(best.offset[0]))
-    status, reason = _verdict(explained, len(problem.edges), unobservable, ambiguity)
+    evidence = Evidence(scan, target, T_target_lidar, off_plane, shape, edges, ends, problem.noise, tilt)
+    fit = measure_fit(evidence, edge_factor, 0, [])
+    status, reason = _verdict(explained, len(problem.edges), unobservable, ambiguity, fit)
     return PoseEstimate(
         target=target,
         T_lidar_target=T_lidar_target,
@@ -111,6 +134,7 @@ def estimate_enumerated(scan: Scan, target: Target, backend: Backend = "clarabel
         plane_rms=float(np.sqrt(np.mean((scan.points @ T_target_lidar[0, :3] + T_target_lidar[0, 3]) ** 2))),
         n_returns=len(scan),
         unobservable=unobservable,
+        fit=fit,
     )
 
 
@@ -188,7 +212,7 @@ def _distinct(posterior: Posterior, score: Floats) -> Candidates:
     return Candidates(posterior.select(kept), score[kept])
 
 
-def _edge_measurement(problem: Problem, candidates: Candidates, same: Bools) -> tuple[BiasedMeasurement, float]:
+def _edge_measurement(problem: Problem, candidates: Candidates, same: Bools, strain: float = 0.0) -> tuple[BiasedMeasurement, float]:
     """Boundary points against their edges, before the offset that they share is marginalised; and their weight.
 
     Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely
@@ -212,17 +236,20 @@ def _edge_measurement(problem: Problem, candidates: Candidates, same: Bools) -> 
             boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]] + geometry.shift[0]
         )
         offset = geometry.across[0] * problem.noise.COMMON
-        whitened = np.column_stack([offset, A, r]) / sigma[:, None]
+        q = (boundary @ one.T_target_lidar[0, 1:3, :3].T + one.T_target_lidar[0, 1:3, 3]).T
+        n = problem.target.normals[geometry.labels[0]].T
+        stretched = strain * np.column_stack([n[0] * q[0] - n[1] * q[1], n[0] * q[1] + n[1] * q[0]])
+        whitened = np.column_stack([offset, stretched, A, r]) / sigma[:, None]
         shifts = _without_shifts(ring_shifts(problem.edges) * (geometry.along[0] / sigma)[:, None])
         rows.append(np.sqrt(weight[k]) * shifts @ whitened)
         total += float(weight[k] * (1 / sigma**2).sum())
     stack = np.vstack(rows)
     measurement = BiasedMeasurement.from_rows(
-        stack[:, 1:13],
-        stack[:, :1],
-        stack[:, 13],
+        stack[:, 3:15],
+        stack[:, :3],
+        stack[:, 15],
         candidates.posterior.T_target_lidar[0],
-        shared=["offset across edges"],
+        shared=["offset across edges", "aspect", "shear"],
     )
     return replace(measurement, n_rows=len(problem.edges)), total
 
@@ -270,7 +297,7 @@ def _explained(problem: Problem, geometry: EdgeGeometry, offset: float) -> float
 
 
 def _verdict(
-    explained: float, n_points: int, unobservable: tuple[str, ...], ambiguity: Ambiguity
+    explained: float, n_points: int, unobservable: tuple[str, ...], ambiguity: Ambiguity, fit: Fit
 ) -> tuple[Status, str]:
     """Status and reason."""
     if explained < MIN_EXPLAINED:
@@ -281,6 +308,8 @@ def _verdict(
         )
     if unobservable:
         return "failed", "not observable: " + "; ".join(unobservable)
+    if fit.flags:
+        return "doubtful", fit.reason
     if ambiguity.margin < AMBIGUITY_MARGIN:
         return "ambiguous", f"a different pose is only {ambiguity.margin:.2g} less likely (log likelihood)"
     return "ok", ""

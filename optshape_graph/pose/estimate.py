@@ -13,6 +13,7 @@ from optshape_graph.factors.measurement import TemplateMeasurement
 from optshape_graph.factors.se3 import adjoint, inverse, inverse_covariance
 from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.pose.sdp import Certificate
+from optshape_graph.pose.fit import Fit
 from optshape_graph.target import Target
 
 AMBIGUITY_MARGIN = 5.0
@@ -25,7 +26,7 @@ Over scans with angular noise the evidence means what it says: the share of wron
 UNOBSERVABLE_SD = 0.4
 """Standard deviation, rad or target radii, beyond which a direction counts as not observable."""
 
-Status = Literal["ok", "ambiguous", "failed"]
+Status = Literal["ok", "doubtful", "ambiguous", "failed"]
 
 _DIRECTIONS = ("rotation about x", "rotation about y", "rotation about z",
                "translation along x", "translation along y", "translation along z")  # fmt: skip
@@ -91,6 +92,7 @@ class PoseEstimate:
     plane_rms: float
     n_returns: int
     unobservable: tuple[str, ...]
+    fit: Fit | None = None
 
     def __post_init__(self) -> None:
         for field in ("T_lidar_target", "covariance", "inset", "edge_sigma", "edge_residuals"):

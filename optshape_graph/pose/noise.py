@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.factors.measurement import template_rows
 from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.sensor import SensorModel
@@ -139,6 +139,25 @@ class PlaneReturns:
     rings: Ints
     bias: Floats
     coupling: Floats
+
+    def select(self, mask: Bools) -> PlaneReturns:
+        """Return some of them, of a mask (N,)."""
+        return replace(
+            self,
+            points=self.points[mask],
+            offset=self.offset[mask],
+            sigma=self.sigma[mask],
+            bias=self.bias[mask],
+            coupling=self.coupling[mask],
+        )
+
+    def widened(self, noise: float, bias: float) -> PlaneReturns:
+        """Return them with noise and ring biases that are so many times as large."""
+        return replace(self, sigma=noise * self.sigma, bias=bias / noise * self.bias)
+
+    def with_shared(self, columns: Floats) -> PlaneReturns:
+        """Return them with further errors that they share, columns (N, K), metres a standard deviation."""
+        return replace(self, bias=np.hstack([self.bias, columns / self.sigma[:, None]]))
 
 
 def returns_on_plane(
