@@ -151,16 +151,17 @@ def plane_flags(evidence: Evidence) -> list[Flag]:
     step, chance = rim_step(r, rim, ~outer)
     ends = np.abs(r.rest[evidence.edges.index]) if len(evidence.edges) else np.zeros(1)
     scale = max(1.0, r.noise / 0.01)
-    share6, share3, mean = np.mean(ends > 0.06 * scale), np.mean(ends > 0.03 * scale), float(ends.mean())
+    far, near = ends > 0.06 * scale, ends > 0.03 * scale
+    mean = float(np.minimum(ends, 0.06 * scale).mean())
     return [
-        Flag("surface", tilt / TILT_DEG,
+        Flag("surface", tilt / TILT_DEG * (s.probability < 1e-6),
              f"the returns lie on a {s.shape} of {1e3 * s.size:.0f} mm rms, which leaves {tilt:.1f} deg of tilt open: "
              "a target that isn't flat"),
         Flag("raised frame", abs(step) / RIM_STEP * (chance < 10**-6.5),
              f"returns within {100 * RIM:.0f} cm of the rim stand {1e3 * abs(step):.0f} mm "
              f"{'in front' if step < 0 else 'behind'}: a raised frame"),
-        Flag("mixed ends", max(share6 / 0.07, share3 / 0.20, mean / scale / 0.016),
-             f"{share3:.0%} of the ring ends lie more than {3 * scale:.0f} cm off their ring: mixed with the "
+        Flag("mixed ends", max(far.mean() / 0.07, near.mean() / 0.20, mean / scale / 0.016) * (near.sum() > 3),
+             f"{near.mean():.0%} of the ring ends lie more than {3 * scale:.0f} cm off their ring: mixed with the "
              "background, or a frame"),
         Flag("off the plane", off / OFF_PLANE, f"{off:.0%} of the returns lie off the plane: something else is among them"),
         Flag("two sheets", max(min(two.correlation / -0.25, two.score / -6.0),

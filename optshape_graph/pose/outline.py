@@ -113,7 +113,7 @@ def _strain(rows: Floats) -> tuple[float, float]:
     if freedom < 3 or np.abs(np.diag(R)[:6]).min() < 1e-6 * np.abs(np.diag(R)[:6]).max():
         return 0.0, 1.0
     x = np.linalg.solve(R[4:6, 4:6], R[4:6, 6])
-    F = float((R[4:6, 6] ** 2).sum()) / 2 / max(float(R[6, 6] ** 2) / freedom, 1e-12)
+    F = float((R[4:6, 6] ** 2).sum()) / 2 / max(float(R[6, 6] ** 2) / freedom, 1.0)
     return float(np.hypot(*x)), f_tail(F, 2, freedom)
 
 
@@ -177,8 +177,8 @@ def coverage(scan: Scan, edges: EdgePoints, target: Target, T_target_lidar: Floa
         missing_rings=missing_rings,
         expected=float((np.maximum(left - right, 0.0) * edges.revolutions[::2]).sum()) / step,
         cut=max(
-            _at_one_azimuth(edges.azimuth[::2], beyond_left, step),
-            _at_one_azimuth(edges.azimuth[1::2], beyond_right, step),
+            _at_one_azimuth(edges.azimuth[::2], beyond_left, step, slack),
+            _at_one_azimuth(edges.azimuth[1::2], beyond_right, step, slack),
         ),
     )
 
@@ -187,9 +187,9 @@ NARROWEST = 5e-3
 """Width that a beam counts as at least where returns outside are measured by it, metres: a board isn't cut truer."""
 
 
-def _at_one_azimuth(azimuth: Floats, beyond: Floats, step: float) -> int:
-    """Most ends within 1.5 steps of azimuth, the outline being two steps and more from each."""
-    odd = np.sort(azimuth[np.abs(beyond) > 2 * step])
+def _at_one_azimuth(azimuth: Floats, beyond: Floats, step: float, slack: float) -> int:
+    """Most ends within 1.5 steps of azimuth, the outline being a step and the beam away from each."""
+    odd = np.sort(azimuth[np.abs(beyond) > step + slack])
     return int((np.searchsorted(odd, odd + 1.5 * step, side="right") - np.arange(len(odd))).max(initial=0))
 
 
