@@ -9,7 +9,7 @@ from optshape_graph.detection.borders import borders
 from optshape_graph.detection.results import Evidence
 from optshape_graph.detection.segments import Sweep
 from optshape_graph.pose import PoseEstimate
-from optshape_graph.pose.evidence import chords
+from optshape_graph.pose.likelihood import chords
 
 MIN_CONTAINED, MIN_COVERED, MIN_EDGED, MIN_SOLID, MIN_FREE, MIN_STEPPED = 0.8, 0.6, 0.75, 0.9, 0.75, 0.75
 """Least shares of `Evidence` that a target has: stands and arms touch it, hands hide it, returns get lost."""

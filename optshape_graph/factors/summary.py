@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats
-from optshape_graph.factors._noise import gaussian
-from optshape_graph.factors._rows import factored
+from optshape_graph.factors._rows import factored, gaussian
 from optshape_graph.factors.measurement import TemplateMeasurement
 from optshape_graph.factors.se3 import adjoint, inverse, vec, vec_derivative
 

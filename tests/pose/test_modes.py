@@ -1,11 +1,13 @@
-"""The evidence of a mode against one that is known."""
+"""Modes: evidence by samples against one that is known, and, far away with noisy angles, no flipped pose that is ok."""
 
 import gtsam
 import numpy as np
 import pytest
 
+from optshape_graph.evaluation.simulation import SimulationSweep, run_simulation
 from optshape_graph.factors.se3 import inverse, inverse_covariance
-from optshape_graph.pose import sampling
+from optshape_graph.io import load_target
+from optshape_graph.pose import modes
 from optshape_graph.simulation import pose_from_rpy
 
 
@@ -21,14 +23,25 @@ def test_of_a_gaussian(monkeypatch: pytest.MonkeyPatch, off: float) -> None:
         xi = np.array([gtsam.Pose3.Logmap(gtsam.Pose3(inverse(truth) @ M)) for M in T])
         return -0.5 * np.einsum("si,si->s", xi, np.linalg.solve(covariance, xi.T).T)
 
-    monkeypatch.setattr(sampling, "scan_log_likelihood", likelihood)
+    monkeypatch.setattr(modes, "scan_log_likelihood", likelihood)
     start = truth @ gtsam.Pose3.Expmap(off * sd).matrix()
     guess = inverse_covariance(start, 4 * covariance)  # of T_target_lidar
-    mode = sampling.sample_mode(inverse(start), guess, None, None)  # type: ignore[arg-type]
+    mode = modes.sample_mode(inverse(start), guess, None, None)  # type: ignore[arg-type]
     assert mode.log_evidence == pytest.approx(0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1], abs=0.15)
     assert mode.effective > 200
     xi = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(truth) @ mode.T_lidar_target))
     assert np.abs(xi / np.sqrt(np.diag(covariance))).max() < 0.3
     np.testing.assert_allclose(np.sqrt(np.diag(mode.covariance)), np.sqrt(np.diag(covariance)), rtol=0.2)
-    again = sampling.sample_mode(inverse(start), guess, None, None)  # type: ignore[arg-type]
+    again = modes.sample_mode(inverse(start), guess, None, None)  # type: ignore[arg-type]
     assert again.log_evidence == mode.log_evidence
+
+
+def test_a_flip_is_never_ok(tmp_path) -> None:
+    """At noise level 3 (0.3 deg), 24 and 36 m, 4 to 9 rings: no flip is ok; most scans are, and are right."""
+    sweep = SimulationSweep(load_target("paper"), None, ("global",), (24.0, 36.0), noise=("3",), draws=10, seed=3)
+    rows = run_simulation(sweep, tmp_path)
+    e_r = np.array([row["e_r_deg"] for row in rows], dtype=float)
+    ok = np.array([row["status"] == "ok" for row in rows])
+    assert not (ok & (e_r > 90)).any()
+    assert ok.mean() > 0.6
+    assert np.mean(e_r > 90) < 0.15

@@ -10,7 +10,7 @@ from optshape_graph import EstimationError, SensorModel
 from optshape_graph.factors import TemplateMeasurement, edge_rows, plane_rows
 from optshape_graph.io import load_target
 from optshape_graph.pose import certify, estimate_pose, solve_relaxation
-from optshape_graph.pose.sdp import eliminate_translation, rotation_constraints
+from optshape_graph.pose.certificate import eliminate_translation, rotation_constraints
 from tests.pose.clouds import simulated
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from optshape_graph import Target
-from optshape_graph.pose.labelling import count_labellings, enumerate_labellings
+from optshape_graph.pose.association import count_labellings, enumerate_labellings
 
 
 @pytest.mark.parametrize("n_edges", [3, 4, 5, 6])

@@ -15,13 +15,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations, product
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.errors import EstimationError, missing_extra
-from optshape_graph.factors.measurement import TemplateMeasurement
+from optshape_graph.errors import EstimationError, InputError, missing_extra
+from optshape_graph.factors.measurement import TemplateMeasurement, refine
 
 Backend = Literal["clarabel", "cvxpy"]
 
@@ -53,13 +53,11 @@ class Relaxation:
         T_target_lidar: (4, 4) a local minimum of the cost.
         cost: the cost there.
         bound: no pose costs less than this.
-        second_eigenvalue: see `Bound`.
     """
 
     T_target_lidar: Floats
     cost: float
     bound: float
-    second_eigenvalue: float
 
 
 def rotation_constraints() -> Floats:
@@ -171,8 +169,11 @@ def lower_bound(Q: Floats, backend: Backend = "clarabel") -> Bound:
         backend: the solver, or cvxpy as the modelling layer above the same solver.
 
     Raises:
+        InputError: a backend that does not exist.
         EstimationError: the cost vanishes for every rotation, so there is nothing to estimate.
     """
+    if backend not in get_args(Backend):
+        raise InputError(f"backend is {backend!r}; expected one of {', '.join(map(repr, get_args(Backend)))}")
     form, _ = eliminate_translation(Q)
     scale = float(np.trace(form))
     if not (np.isfinite(scale) and scale > 0):
@@ -188,63 +189,15 @@ def lower_bound(Q: Floats, backend: Backend = "clarabel") -> Bound:
 def solve_relaxation(Q: Floats, backend: Backend = "clarabel") -> Relaxation:
     """Minimise a quadratic cost over all rigid transforms by its relaxation; see `lower_bound`."""
     dual = lower_bound(Q, backend)
-    form, K = eliminate_translation(Q)
+    _, K = eliminate_translation(Q)
     leading = np.linalg.eigh(dual.X)[1][:, -1]
-    R = refine_rotation(form, project_rotation((leading[:9] / leading[9]).reshape(3, 3).T))
-    x = np.append(R.T.ravel(), 1.0)
+    R = project_rotation((leading[:9] / leading[9]).reshape(3, 3).T)
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, K @ x
-    return Relaxation(T, float(x @ form @ x), dual.bound, dual.second_eigenvalue)
-
-
-def refine_rotation(form: Floats, R: Floats, iterations: int = 20) -> Floats:
-    """Minimise x^T F x, x = [vec R; 1], over rotations near R by Gauss-Newton steps that never go up.
-
-    Args:
-        form: (10, 10) matrix F.
-        R: (3, 3) rotation to start from.
-        iterations: at most so many steps.
-
-    Returns:
-        (3, 3) rotation.
-    """
-    cost, damping = _rotation_cost(form, R), 1e-12
-    for _ in range(iterations):
-        # Column j of R [w]x is -R [e_j]x w: (9, 3), vec R being column-major.
-        D = np.vstack([-R @ skew for skew in _SKEWS])
-        gradient = D.T @ (form[:9] @ np.append(R.T.ravel(), 1.0))
-        hessian = D.T @ form[:9, :9] @ D
-        step = -np.linalg.solve(hessian + damping * np.trace(hessian) * np.eye(3), gradient)
-        candidate = R @ _rotation_exp(step)
-        candidate_cost = _rotation_cost(form, candidate)
-        small = np.abs(step).max() < 1e-9
-        if candidate_cost <= cost:
-            R, cost, damping = candidate, candidate_cost, max(damping / 10, 1e-12)
-        else:
-            damping = max(10 * damping, 1e-4)
-        if small or damping > 1e3:
-            break
-    return R
-
-
-_SKEWS = np.array([
-    [[0.0, 0, 0], [0, 0, -1], [0, 1, 0]],
-    [[0.0, 0, 1], [0, 0, 0], [-1, 0, 0]],
-    [[0.0, -1, 0], [1, 0, 0], [0, 0, 0]],
-])  # fmt: skip
-
-
-def _rotation_cost(form: Floats, R: Floats) -> float:
-    x = np.append(R.T.ravel(), 1.0)
-    return float(x @ form @ x)
-
-
-def _rotation_exp(w: Floats) -> Floats:
-    angle = float(np.linalg.norm(w))
-    W = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-    if angle < 1e-8:
-        return project_rotation(np.eye(3) + W)
-    return np.asarray(np.eye(3) + np.sin(angle) / angle * W + (1 - np.cos(angle)) / angle**2 * W @ W)
+    T[:3, :3], T[:3, 3] = R, K @ np.append(R.T.ravel(), 1.0)
+    values, vectors = np.linalg.eigh(Q)
+    measurement = TemplateMeasurement.from_stack(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, 13, T)
+    T = refine(measurement)
+    return Relaxation(T, 2.0 * measurement.error(T), dual.bound)
 
 
 @dataclass(frozen=True)
@@ -252,8 +205,8 @@ class Certificate:
     """How far a pose can be from the best one, for the association and the weights it was estimated with.
 
     Attributes:
-        certified: the pose is the global minimum: its gap is within (0.1 mm)^2 a residual, and the second
-            eigenvalue says that there is no other.
+        certified: the pose is the global minimum: its gap is small enough, by default (0.1 mm)^2 a residual, and the
+            second eigenvalue says that there is no other.
         gap_m2: (cost of the pose - lower bound on the cost of every pose) / number of residual rows, weights
             normalised to mean 1, square metres.
         second_eigenvalue: second smallest eigenvalue of the dual's matrix, normalised alike, square metres.
@@ -264,12 +217,12 @@ class Certificate:
     second_eigenvalue: float
 
 
-CERTIFIED_GAP_M2 = 1e-4**2
-"""Largest gap, (0.1 mm)^2 a residual row, of a certified pose."""
-
-
 def certify(
-    measurement: TemplateMeasurement, T_target_lidar: Floats, total_weight: float, backend: Backend = "clarabel"
+    measurement: TemplateMeasurement,
+    T_target_lidar: Floats,
+    total_weight: float,
+    backend: Backend = "clarabel",
+    largest_gap: float = 1e-4,
 ) -> Certificate:
     """Certify a pose against every other one.
 
@@ -278,11 +231,13 @@ def certify(
         T_target_lidar: (4, 4) the pose in question.
         total_weight: sum over rows of 1 / sigma^2, 1/m2: the gap is in whitened units before it is divided by it.
         backend: see `lower_bound`.
+        largest_gap: metres a residual: root of the gap up to which the pose is certified.
 
     Raises:
+        InputError: a backend that does not exist.
         EstimationError: the measurement constrains no rotation at all.
     """
     dual = lower_bound(measurement.quadratic(), backend)
     gap = max(0.0, 2.0 * measurement.error(T_target_lidar) - dual.bound) / total_weight
     second = dual.second_eigenvalue / total_weight
-    return Certificate(bool(gap <= CERTIFIED_GAP_M2 and second > 0), gap, second)
+    return Certificate(bool(gap <= largest_gap**2 and second > 0), gap, second)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from optshape_graph.pose.intervals import mixture_moments, truncated_moments
+from optshape_graph.pose.propagation import mixture_moments, truncated_moments
 
 
 @given(st.floats(-6, 6), st.floats(0.05, 3), st.floats(-3, 3), st.floats(0.01, 4))
