@@ -59,6 +59,12 @@ def ring_bias_columns(
 RANGE_BIAS, EDGE_OFFSET = "range bias", "edge offset"
 """Kinds of errors that the pose estimator knows: of ranges, and of how far in the returns at all edges lie."""
 
+SURFACE = ("surface offset", "surface tilt about z", "surface tilt about y")
+RANGE_OFFSET = "range offset"
+STRAIN = ("aspect", "shear")
+"""Kinds of errors that are the target's own, in all scans of it: that its surface is no plane, that its colours move
+ranges, and that its outline is not as drawn."""
+
 
 @dataclass(frozen=True)
 class SharedError:

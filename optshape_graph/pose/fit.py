@@ -18,7 +18,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.edges import EdgePoints
 from optshape_graph.pose.noise import EdgeNoise
 from optshape_graph.pose.outline import Coverage, Ends, coverage, in_plane
-from optshape_graph.pose.surface import PlaneResiduals, Sheets, Surface, rim_step, sheets
+from optshape_graph.pose.surface import PlaneResiduals, Surface, gyration, rim_step, sheets
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
@@ -111,31 +111,31 @@ class Evidence:
     Attributes:
         scan: the returns, duplicates dropped.
         target: the template.
-        T_target_lidar: (4, 4).
         residuals: of the returns from their plane.
         surface: what was found in them.
         edges: both ends of each ring; none without rings.
         ends: them against the outline; None without rings.
         beam: of the sensor.
         tilt: of elevations within rings, see `tilt_of_rings`; None without rings.
+        own: flags of tests that are the method's own.
     """
 
     scan: Scan
     target: Target
-    T_target_lidar: Floats
     residuals: PlaneResiduals
     surface: Surface
     edges: EdgePoints
     ends: Ends | None
     beam: EdgeNoise
     tilt: tuple[float, float] | None
+    own: tuple[Flag, ...] = ()
 
 
-def plane_flags(evidence: Evidence) -> list[Flag]:
+def plane_flags(evidence: Evidence, T_target_lidar: Floats) -> list[Flag]:
     """Ask the distances from the plane, whatever the outline."""
     r, s = evidence.residuals, evidence.surface
-    radius = plane_radius(evidence.target)
-    yz = in_plane(evidence.scan.points, evidence.T_target_lidar)
+    radius = gyration(evidence.target)
+    yz = in_plane(evidence.scan.points, T_target_lidar)
     tilt = np.degrees(2 * s.size / radius)
     off = float(np.mean(~r.usual))
     p = evidence.scan.points
@@ -218,31 +218,28 @@ def ring_flags(evidence: Evidence, ends: Ends, cover: Coverage) -> list[Flag]:
     ]  # fmt: skip
 
 
-def measure_fit(
-    evidence: Evidence, edge_factor: float, duplicates: int, more: list[Flag]
-) -> Fit:
+def measure_fit(evidence: Evidence, T_target_lidar: Floats, duplicates: int) -> Fit:
     """Say how well the returns fit.
 
     Args:
         evidence: what it is judged by.
-        edge_factor: what the standard deviations of ring ends were multiplied by.
+        T_target_lidar: (4, 4) the pose.
         duplicates: exact copies of returns that were dropped.
-        more: flags of tests that are the method's own.
     """
     scan, r, ends = evidence.scan, evidence.residuals, evidence.ends
-    normal = evidence.T_target_lidar[0, :3]
+    normal = T_target_lidar[0, :3]
     cosine = float(np.mean(np.abs(scan.points @ normal) / np.linalg.norm(scan.points, axis=1)))
     plane = r.beyond(3, np.zeros((len(scan), 0)))
-    flags = plane_flags(evidence) + more
+    flags = [*plane_flags(evidence, T_target_lidar), *evidence.own]
     if ends is not None:
-        cover = coverage(scan, evidence.edges, evidence.target, evidence.T_target_lidar, evidence.beam)
+        cover = coverage(scan, evidence.edges, evidence.target, T_target_lidar, evidence.beam)
         flags += ring_flags(evidence, ends, cover)
         outside, tilt = cover.outside, evidence.tilt[0] if evidence.tilt else None
         missing = (cover.missing_left, cover.missing_right, cover.missing_inside)
         rings, expected = cover.missing_rings, cover.expected
     else:
         width = np.maximum(evidence.beam.width(np.linalg.norm(scan.points, axis=1)), 5e-3)
-        outside = evidence.target.outside_distance(in_plane(scan.points, evidence.T_target_lidar)) / width
+        outside = evidence.target.outside_distance(in_plane(scan.points, T_target_lidar)) / width
         tilt, missing, rings, expected = None, (0.0, 0.0, 0.0), 0, None
     noise_factor, bias_factor = r.noise / r.file_noise, r.bias / r.file_bias
     warnings = [
@@ -257,7 +254,7 @@ def measure_fit(
         ring_bias=r.bias / cosine,
         noise_factor=noise_factor,
         bias_factor=bias_factor,
-        edge_factor=edge_factor,
+        edge_factor=ends.factor if ends else 1.0,
         plane_chi_square=float(plane.gram[-1, -1]) / r.noise**2,
         plane_freedom=plane.freedom,
         edge_chi_square=ends.chi_square if ends else 0.0,
@@ -275,8 +272,3 @@ def measure_fit(
         flags=tuple(sorted((flag for flag in flags if flag.excess > 1.0), key=lambda flag: -flag.excess)),
         warnings=tuple(warnings),
     )
-
-
-def plane_radius(target: Target) -> float:
-    """Radius of gyration of a disc of the target's area, metres: sqrt(area / 2 pi)."""
-    return float(np.sqrt(target.area / (2 * np.pi)))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Bools, Floats
 from optshape_graph.factors.measurement import template_rows
 from optshape_graph.factors.static import RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.pose.options import PoseOptions
@@ -122,6 +123,20 @@ class PlaneReturns:
     errors: tuple[SharedError, ...]
     bias: Floats
     coupling: Floats
+
+    def select(self, mask: Bools) -> PlaneReturns:
+        """Return some of them, of a mask (N,)."""
+        rows = {name: getattr(self, name)[mask] for name in ("points", "offset", "sigma", "bias", "coupling")}
+        return replace(self, **rows)
+
+    def widened(self, noise: float, bias: float) -> PlaneReturns:
+        """Return them with noise and biases that are so many times as large."""
+        return replace(self, sigma=noise * self.sigma, bias=bias / noise * self.bias)
+
+    def with_errors(self, kinds: Sequence[str], columns: Floats) -> PlaneReturns:
+        """Return them with further errors that all share: columns (N, K), metres for a standard deviation of each."""
+        errors = (*self.errors, *(SharedError(kind) for kind in kinds))
+        return replace(self, errors=errors, bias=np.hstack([self.bias, columns / self.sigma[:, None]]))
 
 
 def returns_on_plane(

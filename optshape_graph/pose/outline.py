@@ -9,15 +9,18 @@ from scipy.special import gammaincc
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import EdgePoints
-from optshape_graph.pose.evidence import chords, vertices_in_lidar
+from optshape_graph.pose.likelihood import chords
 from optshape_graph.pose.noise import EdgeNoise
-from optshape_graph.pose.propagation import Problem, edge_geometry, own_variance
-from optshape_graph.pose.surface import f_tail
+from optshape_graph.pose.propagation import Problem, edge_geometry
+from optshape_graph.pose.surface import SEEN, f_tail
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
 CLIP = 3.0
 """Standard deviations that a ring end counts as at most: strays don't decide a mean square."""
+
+EXPECTED = 1.15
+"""Mean square of ring ends up to which nothing is widened: a tenth of clean scans exceed it."""
 
 _HUBER = 1.5
 _REWEIGHTINGS = 5
@@ -58,6 +61,16 @@ class Ends:
         return float(gammaincc(self.freedom / 2, square / 2)) if self.freedom > 0 else 1.0
 
     @property
+    def factor(self) -> float:
+        """By how much standard deviations of ring ends are to be widened: 1 where they scatter as they should."""
+        return float(np.sqrt(max(1.0, self.clipped_mean_square / EXPECTED)))
+
+    @property
+    def seen_strain(self) -> float:
+        """The strain where it is seen, 0 elsewhere."""
+        return self.strain if self.strain_probability < SEEN else 0.0
+
+    @property
     def share_beyond(self) -> float:
         """Share of ring ends beyond CLIP standard deviations."""
         return float(np.mean(np.abs(self.z) > CLIP)) if len(self.z) else 0.0
@@ -88,13 +101,14 @@ def fit_ends(problem: Problem, T_target_lidar: Floats, labels: Ints) -> Ends:
     edges, target = problem.edges, problem.target
     g = edge_geometry(problem, T_target_lidar[None], labels[None])
     along, across = g.along[0], g.across[0]
-    sd = np.sqrt(own_variance(problem, g)[0] + along**2 * (edges.width**2 / 12 + edges.shift**2))
+    sd = np.sqrt(g.own[0] + along**2 * (edges.width**2 / 12 + edges.shift**2))
     boundary = edges.points + edges.middle[:, None] * edges.outward(T_target_lidar[0, :3])
     y, z = (boundary @ T_target_lidar[1:3, :3].T + T_target_lidar[1:3, 3]).T
     ny, nz = target.normals[labels].T
-    in_plane = [ny, nz, (nz * y - ny * z) / target.circumradius, across * problem.noise.COMMON]
-    strains = [ny * y - nz * z, ny * z + nz * y]
-    rows = np.column_stack([*in_plane, *strains, g.residual[0] + along * edges.middle]) / sd[:, None]
+    pose = [ny, nz, (nz * y - ny * z) / target.circumradius]
+    strains = strain_columns(target, labels, boundary, T_target_lidar)
+    residual = g.residual[0] + along * edges.middle
+    rows = np.column_stack([*pose, across * problem.noise.COMMON, strains, residual]) / sd[:, None]
     prior = np.diag([1e-6, 1e-6, 1e-6, 1.0])
     weight = np.ones(len(rows))
     for _ in range(_REWEIGHTINGS):
@@ -104,6 +118,13 @@ def fit_ends(problem: Problem, T_target_lidar: Floats, labels: Ints) -> Ends:
         weight = 1.0 / np.maximum(np.abs(residual) / _HUBER, 1.0)
     strain, probability = _strain(np.sqrt(weight)[:, None] * rows)
     return Ends(residual, float(x[3]), max(len(residual) - 3, 0), strain, probability)
+
+
+def strain_columns(target: Target, labels: Ints, points: Floats, T_target_lidar: Floats) -> Floats:
+    """(M, 2) how far two strains of the outline, of unit size and of constant area, move points (M, 3) across edges."""
+    ny, nz = target.normals[labels].T
+    y, z = (points @ T_target_lidar[1:3, :3].T + T_target_lidar[1:3, 3]).T
+    return np.column_stack([ny * y - nz * z, ny * z + nz * y])
 
 
 def _strain(rows: Floats) -> tuple[float, float]:
@@ -156,7 +177,7 @@ def coverage(scan: Scan, edges: EdgePoints, target: Target, T_target_lidar: Floa
     step, outside = edges.azimuth_step, target.outside_distance(in_plane(scan.points, T_target_lidar)) / width
     first = edges.points[::2]
     elevation = np.arctan2(first[:, 2], np.hypot(first[:, 0], first[:, 1]))
-    corners = vertices_in_lidar(T_target_lidar[None], target.vertices)
+    corners = (target.vertices - T_target_lidar[:3, 3])[None] @ T_target_lidar[:3, :3]
     right, left = (ends[0] for ends in chords(corners, elevation, edges.reference_azimuth))
     slack = step + float(np.median(width / ranges))
     beyond_left, beyond_right = left - edges.azimuth[::2], edges.azimuth[1::2] - right

@@ -13,10 +13,11 @@ from optshape_graph.factors.measurement import TemplateMeasurement
 from optshape_graph.factors.se3 import adjoint, inverse, inverse_covariance, skew
 from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.pose.certificate import Certificate
+from optshape_graph.pose.fit import Evidence, Fit
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
-Status = Literal["ok", "ambiguous", "failed"]
+Status = Literal["ok", "doubtful", "ambiguous", "failed"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +50,7 @@ class Finding:
         inset: (M,) azimuth by which the boundary is taken to lie beyond each, rad.
         edge_sigma: (M,) standard deviation of each edge residual, metres.
         edge_residuals: (M,) distance of each boundary point from its edge, metres, positive outside.
+        evidence: what the fit is judged by.
         objection: why the returns are not this target's, in words; empty where they are.
     """
 
@@ -64,6 +66,7 @@ class Finding:
     inset: Floats
     edge_sigma: Floats
     edge_residuals: Floats
+    evidence: Evidence
     objection: str = ""
 
 
@@ -75,7 +78,8 @@ class PoseEstimate:
         target: the template.
         T_lidar_target: (4, 4).
         covariance: (6, 6) of the right perturbation of T_lidar_target: rotation first, in the target's frame.
-        status: "ok"; "ambiguous" where a different pose is not ruled out; "failed" where it is not to be used.
+        status: "ok"; "doubtful" where the returns do not fit the model; "ambiguous" where a different pose is not ruled
+            out; "failed" where it is not to be used.
         reason: why not "ok", else empty.
         measurement: all whitened residuals, compressed: what factors are made of.
         shared: the same before the errors that scans of one static scene share (ring biases, edge offset) are
@@ -92,6 +96,7 @@ class PoseEstimate:
         plane_rms: root mean square distance of the returns from the target's plane, metres.
         n_returns: number of returns.
         unobservable: directions, in the target's frame, that the scan does not determine.
+        fit: how well the returns fit the model, and what was widened for it.
     """
 
     target: Target
@@ -112,6 +117,7 @@ class PoseEstimate:
     plane_rms: float
     n_returns: int
     unobservable: tuple[str, ...]
+    fit: Fit
 
     def __post_init__(self) -> None:
         for field in ("T_lidar_target", "covariance", "inset", "edge_sigma", "edge_residuals"):

@@ -16,14 +16,17 @@ from optshape_graph._arrays import Floats
 from optshape_graph.edges import EdgePoints, extract_edge_points, with_top_and_bottom
 from optshape_graph.factors.measurement import TemplateMeasurement, refine, template_rows
 from optshape_graph.factors.se3 import inverse
-from optshape_graph.factors.static import EDGE_OFFSET, BiasedMeasurement, SharedError
+from optshape_graph.factors.static import EDGE_OFFSET, STRAIN, BiasedMeasurement, SharedError
 from optshape_graph.pose.association import enumerate_poses, fit_plane
 from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
+from optshape_graph.pose.fit import Evidence
 from optshape_graph.pose.modes import Modes, compare_modes, log, rank
 from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
+from optshape_graph.pose.outline import Ends, fit_ends, strain_columns, tilt_of_rings
 from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry
 from optshape_graph.pose.result import Ambiguity, Finding
+from optshape_graph.pose.surface import PlaneResiduals, as_seen, find_surface
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
@@ -35,11 +38,14 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         EstimationError: the returns determine no pose at all.
     """
     # What was measured: ring ends on the grid of firings, and all returns against a plane near the target's.
+    tilt = tilt_of_rings(scan)
     scan, angular_noise = level_rings(scan)
     edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
     plane = fit_plane(scan.points, scan.ring)
     returns = returns_on_plane(scan, plane.axes[0], plane.distance, angular_noise, options)
-    on_plane = plane_measurement(returns)
+    off_plane = PlaneResiduals.of(returns, plane, target, scan.ring)
+    shape = find_surface(off_plane)
+    on_plane = plane_measurement(as_seen(returns, off_plane, shape))
     bounded = edges if angular_noise else _bounded(edges, scan)
     problem = Problem(bounded, target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor, options))
 
@@ -48,13 +54,14 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
     modes = compare_modes(rank(problem, starts, scan, edges), problem, scan, edges)
 
     # The best mode in one measurement, at its minimum.
-    on_edges, edge_weight = _edge_measurement(problem, modes)
+    best, n = modes.candidates.select(slice(0, 1)), len(edges)
+    ends = fit_ends(replace(problem, edges=edges), best.T_target_lidar[0], best.geometry.labels[0, :n])
+    on_edges, edge_weight = _edge_measurement(problem, modes, ends)
     shared = on_edges + on_plane
     measurement = shared.marginal(1.0)
     measurement = _widen(measurement.at(refine(measurement)), modes)
 
     # How the ring ends lie about the edges there.
-    best, n = modes.candidates.select(slice(0, 1)), len(edges)
     final = edge_geometry(problem, measurement.T_target_lidar[None], best.geometry.labels)
     return Finding(
         target=target,
@@ -69,6 +76,7 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         inset=best.inset[0, :n],
         edge_sigma=best.sigma[0, :n],
         edge_residuals=(final.residual[0] + best.inset[0] * final.along[0])[:n],
+        evidence=Evidence(scan, target, off_plane, shape, edges, ends, problem.noise, tilt),
         objection=_objection(problem, final, float(best.offset[0]), options.min_explained),
     )
 
@@ -97,8 +105,11 @@ def _upright(T: Floats, target: Target) -> Floats:
     return result
 
 
-def _edge_measurement(problem: Problem, modes: Modes) -> tuple[BiasedMeasurement, float]:
-    """Boundary points against their edges, before the offset that they share is marginalised; and their weight.
+def _edge_measurement(problem: Problem, modes: Modes, ends: Ends) -> tuple[BiasedMeasurement, float]:
+    """Boundary points against their edges, before what they share is marginalised; and their weight.
+
+    They share the offset across the edges, and the strains of an outline that isn't as drawn, as large as they are seen.
+    Ends that scatter more than they should count less.
 
     Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely
     take part: a weighted mean of their costs is a cost of the same form. Its minimum is near the mixture's mean where
@@ -121,17 +132,18 @@ def _edge_measurement(problem: Problem, modes: Modes) -> tuple[BiasedMeasurement
             boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]] + geometry.shift[0]
         )
         offset = geometry.across[0] * problem.noise.COMMON
-        whitened = np.column_stack([offset, A, r]) / sigma[:, None]
+        strains = ends.seen_strain * strain_columns(problem.target, geometry.labels[0], boundary, one.T_target_lidar[0])
+        whitened = np.column_stack([offset, strains, A, r]) / (ends.factor * sigma[:, None])
         shifts = _without_shifts(problem.ring_shifts * (geometry.along[0] / sigma)[:, None])
         rows.append(np.sqrt(weight[k]) * shifts @ whitened)
-        total += float(weight[k] * (1 / sigma**2).sum())
+        total += float(weight[k] * (1 / (ends.factor * sigma) ** 2).sum())
     stack = np.vstack(rows)
     measurement = BiasedMeasurement.from_rows(
-        stack[:, 1:13],
-        stack[:, :1],
-        stack[:, 13],
+        stack[:, 3:15],
+        stack[:, :3],
+        stack[:, 15],
         posterior.T_target_lidar[0],
-        [SharedError(EDGE_OFFSET)],
+        [SharedError(kind) for kind in (EDGE_OFFSET, *STRAIN)],
     )
     return replace(measurement, n_rows=len(problem.edges)), total
 

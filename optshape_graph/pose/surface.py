@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import betainc
 
 from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph.factors.static import RANGE_OFFSET, SURFACE
 from optshape_graph.pose.association import ReturnsPlane
 from optshape_graph.pose.noise import PlaneReturns
 from optshape_graph.target import Target
@@ -24,8 +25,8 @@ SEEN = 0.02
 """Probability of the F test below which a shape counts as seen, and its size widens the pose: one clean scan in fifty
 pays for one that isn't there, and little, for what chance makes is small."""
 
-FEWEST_RINGS = 9
-"""Rings from which on the scan tells the size of their biases, to a fifth; with fewer, the sensor file's stands."""
+PRIOR_RINGS = 4
+"""Rings that the sensor file's word on their biases is worth: a file is right to a third or so."""
 
 OUTLYING = 4.0
 """Standard deviations from the median of its ring beyond which a return is none of the plane: of Gaussian noise one in
@@ -62,25 +63,18 @@ class PlaneResiduals:
     file_bias: float
 
     @classmethod
-    def of_returns(cls, returns: PlaneReturns, plane: ReturnsPlane, target: Target) -> PlaneResiduals:
-        """Take returns from their plane; see `of`."""
-        yz = (returns.points - plane.centre) @ plane.axes[1:].T / np.sqrt(target.area / (2 * np.pi))
-        noise = float(np.sqrt(np.mean(returns.sigma**2)))
-        columns = returns.bias[:, : len(returns.rings)]
-        bias = float(np.mean(columns.sum(axis=1) * returns.sigma))
-        return cls.of(-returns.offset, yz, columns.argmax(axis=1), noise, bias)
-
-    @classmethod
-    def of(cls, e: Floats, yz: Floats, ring: Ints, noise: float, bias: float) -> PlaneResiduals:
-        """Take noise and bias from the scan, never less than those of the sensor file.
+    def of(cls, returns: PlaneReturns, plane: ReturnsPlane, target: Target, ring: Ints) -> PlaneResiduals:
+        """Take noise and biases from the scan, never less than those of the sensor file.
 
         Args:
-            e: (N,) distances, metres.
-            yz: (N, 2) places.
+            returns: against the plane, each with one bias, noise and bias as the sensor file has them.
+            plane: near theirs.
+            target: its size is the unit of places.
             ring: (N,) of each return.
-            noise: of the sensor file, off the plane, metres.
-            bias: of the sensor file, off the plane, metres.
         """
+        e, yz = -returns.offset, (returns.points - plane.centre) @ plane.axes[1:].T / gyration(target)
+        noise = float(np.sqrt(np.mean(returns.sigma**2)))
+        bias = max(float(np.mean(returns.bias.sum(axis=1) * returns.sigma)), 1e-6)
         _, column, counts = np.unique(ring, return_inverse=True, return_counts=True)
         terms = second_order(yz)
         freedom = max(len(e) - len(counts) - 5, 1)
@@ -92,12 +86,11 @@ class PlaneResiduals:
             rest = left - medians[column]
             within = 1.4826 * float(np.median(np.abs(rest))) * np.sqrt(len(e) / freedom)
             usual = np.abs(rest) <= OUTLYING * max(noise, within)
-        seen = 0.0
-        if len(counts) >= FEWEST_RINGS:
-            own = float(np.mean(np.pi / 2 * within**2 / counts))  # variance of a median of so many
-            spread = float(np.var(medians)) * len(counts) / (len(counts) - 4)
-            seen = float(np.sqrt(max(spread - own, 0.0)))
-        return cls(e, yz, column, rest, usual, max(noise, within), max(bias, seen), noise, max(bias, 1e-6))
+        own = float(np.mean(np.pi / 2 * within**2 / counts))  # variance of a median of so many
+        freedom = max(len(counts) - 4, 0)
+        square = float(np.sum((medians - medians.mean()) ** 2)) - freedom * own
+        seen = np.sqrt(max(PRIOR_RINGS * bias**2 + square, 0.0) / (PRIOR_RINGS + freedom)) if freedom else 0.0
+        return cls(e, yz, column, rest, usual, max(noise, within), max(bias, float(seen)), noise, bias)
 
     @property
     def excess(self) -> float:
@@ -106,7 +99,9 @@ class PlaneResiduals:
         Something moves single returns by so much: dark and bright squares, say. Their mean is then as uncertain.
         """
         chance = 3 * 1.17 / np.sqrt(len(self.e))  # of the median absolute deviation
-        return float(np.sqrt(self.noise**2 - self.file_noise**2)) if self.noise > (1 + chance) * self.file_noise else 0.0
+        return (
+            float(np.sqrt(self.noise**2 - self.file_noise**2)) if self.noise > (1 + chance) * self.file_noise else 0.0
+        )
 
     @cached_property
     def terms(self) -> Floats:
@@ -173,7 +168,26 @@ class Surface:
     probability: float
 
 
-def surface(residuals: PlaneResiduals) -> Surface:
+def as_seen(returns: PlaneReturns, residuals: PlaneResiduals, surface: Surface) -> PlaneReturns:
+    """Return what is of the plane, with noise and biases as large as they are seen, and with the target's own errors.
+
+    A shape of rms e leaves the plane's distance open by 2 e, and its tilts by 2 e over the radius of gyration: which
+    part of it was drawn as the plane nobody knows.
+    """
+    seen = returns.widened(residuals.noise / residuals.file_noise, residuals.bias / residuals.file_bias)
+    if surface.size > 0:
+        seen = seen.with_errors(SURFACE, 2 * surface.size * residuals.terms[:, :3])
+    if residuals.excess > 0:
+        seen = seen.with_errors([RANGE_OFFSET], np.full((len(seen.points), 1), residuals.excess))
+    return seen.select(residuals.usual)
+
+
+def gyration(target: Target) -> float:
+    """Radius of gyration of a disc of the target's area, metres: sqrt(area / 2 pi)."""
+    return float(np.sqrt(target.area / (2 * np.pi)))
+
+
+def find_surface(residuals: PlaneResiduals) -> Surface:
     """Look for a bend and for a fold."""
     bend_p, _, bend = residuals.beyond(3, residuals.terms[:, 3:]).together()
     hinges = np.column_stack([np.abs(residuals.yz @ [np.cos(a), np.sin(a)] - d) for a, d in _HINGES])

@@ -132,9 +132,7 @@ def merged(trial: Trial, rng: np.random.Generator, distance: float) -> Trial:
 
 
 def _appended(scan: Scan, points: np.ndarray, ring: np.ndarray) -> Scan:
-    return Scan(
-        np.vstack([scan.points, points]), np.concatenate([scan.ring, ring]), sensor=scan.sensor, name=scan.name
-    )
+    return Scan(np.vstack([scan.points, points]), np.concatenate([scan.ring, ring]), sensor=scan.sensor, name=scan.name)
 
 
 def _ends(scan: Scan) -> tuple[np.ndarray, np.ndarray]:
@@ -185,9 +183,7 @@ def moving(trial: Trial, rng: np.random.Generator, speed: float) -> Trial:
     then = np.eye(4)
     then[:3, 3] = t[0]
     T_world_target = then @ trial.T  # where it is, as the sensor sees it when it passes
-    seen = simulate(
-        Scene((Patch(trial.target, T_world_target),)), sensor, ahead, noise=NoiseModel.of(sensor), rng=rng
-    )
+    seen = simulate(Scene((Patch(trial.target, T_world_target),)), sensor, ahead, noise=NoiseModel.of(sensor), rng=rng)
     return replace(trial, scan=seen.scan)
 
 
@@ -260,7 +256,9 @@ def strays(trial: Trial, rng: np.random.Generator, count: int, reach: float = 0.
     of = rng.choice(len(rows), min(count, len(rows)), replace=False)
     ranges = np.linalg.norm(trial.scan.points[rows[of]], axis=1)
     further = 1.0 + rng.uniform(-0.05, 0.05, len(of)) / ranges
-    beside = _turned(trial.scan.points[rows[of]] * further[:, None], sides[of] * rng.uniform(0.05, reach, len(of)) / ranges)
+    beside = _turned(
+        trial.scan.points[rows[of]] * further[:, None], sides[of] * rng.uniform(0.05, reach, len(of)) / ranges
+    )
     return replace(trial, scan=_appended(trial.scan, beside, trial.scan.ring[rows[of]]))
 
 
