@@ -41,7 +41,7 @@ JUDGED = 64
 """Bands of elevation that stand for rings where the surface is judged."""
 
 MIRRORED = 5.0
-"""Log likelihood by which the mirror image must fit better before the target counts as mirrored: as `ambiguity_margin`."""
+"""Log likelihood by which the mirror image must fit better to be believed: as much as `ambiguity_margin`."""
 
 REACH = 3.0
 """Standard deviations of the beam by which a return may lie outside where poses are looked for."""
@@ -75,9 +75,8 @@ def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Fin
     poses = in_plane_poses(np.array([one.mean[0] for one in sets]), np.array([one.mean[1:] for one in sets]), plane)
 
     # The likeliest set and the plane in one measurement, at its minimum.
-    shared = _outline_measurement(best, plane) + plane_measurement(
-        as_seen(_with_biases(returns, scan), off_plane, shape)
-    )
+    seen = as_seen(_with_biases(returns, scan), off_plane, shape)
+    shared = _outline_measurement(best, plane) + plane_measurement(seen)
     measurement = shared.marginal(1.0).at(poses[0])
     margin, rival = (np.inf, None) if len(sets) == 1 else (best.log_mass - sets[1].log_mass, inverse(poses[1]))
     outside = target.outside_distance(q @ _turn(best.mean[0]).T + best.mean[1:]) > REACH * (beam.sigma + beam.offset)
@@ -117,7 +116,7 @@ def _mirrored(q: Floats, beam: Beam, target: Target, log_mass: float) -> tuple[F
     excess = sets[0].log_mass - log_mass if sets else 0.0
     return (
         Flag("mirrored", excess / MIRRORED,
-             f"the mirror image of the target fits better, by {excess:.1f} of log likelihood: hung with its back in front"),
+             f"the mirror image of the target fits better (log likelihood {excess:.1f}): it is hung back to front"),
     )  # fmt: skip
 
 
@@ -144,7 +143,7 @@ def _band(scan: Scan, count: int) -> Ints:
     """(N,) band of elevation of each return, of so many that are equally wide."""
     elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
     fraction = (elevation - elevation.min()) / max(float(np.ptp(elevation)), 1e-9)
-    return np.minimum((fraction * count).astype(np.int64), count - 1)
+    return np.asarray(np.minimum((fraction * count).astype(np.int64), count - 1))
 
 
 def _outline_measurement(best: Containment, plane: ReturnsPlane) -> BiasedMeasurement:

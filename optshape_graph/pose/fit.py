@@ -2,8 +2,8 @@
 
 A wrong model gives a precise wrong pose. Where the size of an error is seen and its direction isn't (noise, ring
 biases, a surface, ring ends that scatter), the covariance is widened, and the fit says by how much. Where another world
-explains the returns better (a fold, a raised frame, two revolutions, a cut field of view), the pose is doubtful, and the
-fit says which. Each limit stands beside its test: below it a pose that was widened still holds, and recordings of flat
+explains the returns better (a raised frame, two revolutions, a cut field of view), the pose is doubtful, and the fit
+says which. Each limit stands beside its test: below it a pose that was widened still holds, and recordings of flat
 boards by sensors that are described by their files stay below it.
 """
 
@@ -163,11 +163,12 @@ def plane_flags(evidence: Evidence, T_target_lidar: Floats) -> list[Flag]:
         Flag("mixed ends", max(far.mean() / 0.07, near.mean() / 0.20, mean / scale / 0.016) * (near.sum() > 3),
              f"{near.mean():.0%} of the ring ends lie more than {3 * scale:.0f} cm off their ring: mixed with the "
              "background, or a frame"),
-        Flag("off the plane", off / OFF_PLANE, f"{off:.0%} of the returns lie off the plane: something else is among them"),
+        Flag("off the plane", off / OFF_PLANE,
+             f"{off:.0%} of the returns lie off the plane: something else is among them"),
         Flag("two sheets", max(min(two.correlation / -0.25, two.score / -6.0),
                                two.apart / SHEETS_APART * (two.probability < 1e-8)),
-             "neighbouring returns alternate between two planes" + (f", {2e3 * two.apart:.0f} mm apart" if two.apart else "")
-             + ": revolutions merged while something moved"),
+             f"returns lie in two sheets{f' {2e3 * two.apart:.0f} mm apart' if two.apart else ''}: revolutions merged "
+             "while something moved"),
     ]  # fmt: skip
 
 
@@ -206,15 +207,16 @@ def ring_flags(evidence: Evidence, ends: Ends, cover: Coverage) -> list[Flag]:
              "deviations of what a beam's width allows: another size, or a board that blooms"),
         Flag("run of ends", run / 2.9,
              "neighbouring ring ends all lie on one side of their edge: a part is hidden, or the shape is another"),
-        Flag("cut", cover.cut / 5 * 1.001, f"{cover.cut} rings end at one azimuth inside the outline: the view is cut there"),
+        Flag("cut", (cover.cut + 1) / 5.5,
+             f"{cover.cut} rings end at one azimuth inside the outline: the view is cut there"),
         Flag("missing side", min(share / 0.04, missing / 6),
              f"{missing:.0f} firings on the {side} returned nothing though the outline is there: the view is cut"),
-        Flag("missing rings", cover.missing_rings / 2 * 1.001,
+        Flag("missing rings", (cover.missing_rings + 1) / 2.5,
              f"{cover.missing_rings} rings beyond those with returns should have hit: the view is cut, or hidden"),
         Flag("outside", min(outside / 0.035, count / 4),
              f"{outside:.0%} of the returns lie outside the outline by more than a beam: not all are this target's"),
         Flag("frame", tilt / 3e-4 * (chance < 1e-6),
-             f"elevations vary by {np.degrees(tilt):.2f} deg within rings: the points are not in the sensor's own frame"),
+             f"elevations vary by {np.degrees(tilt):.2f} deg within rings: points not in the sensor's own frame"),
     ]  # fmt: skip
 
 

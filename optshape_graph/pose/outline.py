@@ -8,7 +8,8 @@ import numpy as np
 from scipy.special import gammaincc
 
 from optshape_graph._arrays import Floats, Ints
-from optshape_graph.edges import EdgePoints
+from optshape_graph.edges import EdgePoints, relative_azimuth
+from optshape_graph.factors._rows import triangular
 from optshape_graph.pose.likelihood import chords
 from optshape_graph.pose.noise import EdgeNoise
 from optshape_graph.pose.propagation import Problem, edge_geometry
@@ -32,7 +33,7 @@ class Ends:
 
     Attributes:
         z: (M,) residuals in standard deviations, positive outside.
-        offset: common offset across the edges in standard deviations of its prior, positive: the returns lie further in.
+        offset: common offset across the edges in standard deviations of its prior, positive: returns lie further in.
         freedom: degrees of freedom: of the pose in the plane are three, the offset has its prior.
         strain: stretch of the outline at constant area that the ends ask for beside the pose, relative.
         strain_probability: of so much by chance.
@@ -129,7 +130,7 @@ def strain_columns(target: Target, labels: Ints, points: Floats, T_target_lidar:
 
 def _strain(rows: Floats) -> tuple[float, float]:
     """Size of the two strains in whitened rows (M, 7), and the F test of whether they are there."""
-    R = np.linalg.qr(np.vstack([rows, np.eye(7)[3:4]]), mode="r")  # the offset's prior
+    R = triangular(np.vstack([rows, np.eye(7)[3:4]]))  # the offset's prior
     freedom = len(rows) + 1 - 6
     if freedom < 3 or np.abs(np.diag(R)[:6]).min() < 1e-6 * np.abs(np.diag(R)[:6]).max():
         return 0.0, 1.0
@@ -181,8 +182,7 @@ def coverage(scan: Scan, edges: EdgePoints, target: Target, T_target_lidar: Floa
     right, left = (ends[0] for ends in chords(corners, elevation, edges.reference_azimuth))
     slack = step + float(np.median(width / ranges))
     beyond_left, beyond_right = left - edges.azimuth[::2], edges.azimuth[1::2] - right
-    azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0]) - edges.reference_azimuth
-    azimuth = np.angle(np.exp(1j * azimuth))
+    azimuth, _ = relative_azimuth(scan.points)
     order = np.lexsort((azimuth, scan.ring))
     gaps = np.diff(azimuth[order])[np.diff(scan.ring[order]) == 0] / step
     missing_rings = 0
@@ -228,8 +228,8 @@ def tilt_of_rings(scan: Scan) -> tuple[float, float]:
     it is none.
     """
     assert scan.ring is not None
-    x, y, z = scan.points.T
-    elevation, azimuth = np.arctan2(z, np.hypot(x, y)), np.angle((x + 1j * y) * np.conj(x[0] + 1j * y[0]))
+    elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
+    azimuth, _ = relative_azimuth(scan.points)
     _, column, counts = np.unique(scan.ring, return_inverse=True, return_counts=True)
     off = elevation - (np.bincount(column, elevation) / counts)[column]
     a = azimuth - (np.bincount(column, azimuth) / counts)[column]

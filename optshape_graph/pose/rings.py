@@ -38,12 +38,13 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         EstimationError: the returns determine no pose at all.
     """
     # What was measured: ring ends on the grid of firings, and all returns against a plane near the target's.
-    tilt = tilt_of_rings(scan)
+    assert scan.ring is not None
+    ring, tilt = scan.ring, tilt_of_rings(scan)
     scan, angular_noise = level_rings(scan)
     edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
     plane = fit_plane(scan.points, scan.ring)
     returns = returns_on_plane(scan, plane.axes[0], plane.distance, angular_noise, options)
-    off_plane = PlaneResiduals.of(returns, plane, target, scan.ring)
+    off_plane = PlaneResiduals.of(returns, plane, target, ring)
     shape = find_surface(off_plane)
     on_plane = plane_measurement(as_seen(returns, off_plane, shape))
     bounded = edges if angular_noise else _bounded(edges, scan)
@@ -108,7 +109,7 @@ def _upright(T: Floats, target: Target) -> Floats:
 def _edge_measurement(problem: Problem, modes: Modes, ends: Ends) -> tuple[BiasedMeasurement, float]:
     """Boundary points against their edges, before what they share is marginalised; and their weight.
 
-    They share the offset across the edges, and the strains of an outline that isn't as drawn, as large as they are seen.
+    They share the offset across the edges, and the strains of an outline that isn't as drawn, as large as are seen.
     Ends that scatter more than they should count less.
 
     Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely

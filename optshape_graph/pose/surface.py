@@ -1,7 +1,7 @@
 """What the returns' distances from the plane say of noise, of rings' biases, and of a target that is not flat.
 
-A return's distance from the plane is e = a + b y + c z + (bias of its ring) + noise, plus the shape of a surface that is
-no plane. Ring biases look like a shape across the rings, so rows are whitened by partial demeaning of each ring (the
+A return's distance from the plane is e = a + b y + c z + (bias of its ring) + noise, plus the shape of a surface that
+is no plane. Ring biases look like a shape across the rings, so rows are whitened by partial demeaning of each ring (the
 random-effects transform of panel regression; Fuller and Battese, J. Econometrics 2, 1974): with biases left free a fold
 would hide in them. Noise and biases are taken from the scan itself, so that a sensor file that is off doesn't look like
 a shape, and shapes are judged by F tests.
@@ -136,11 +136,11 @@ class Regression:
     def together(self) -> tuple[float, Floats, float]:
         """F test of all columns: probability by chance, coefficients (K,), rms of what they explain, metres."""
         A, b, k = self.gram[:-1, :-1], self.gram[:-1, -1], len(self.plain)
-        x = np.linalg.lstsq(A, b, rcond=1e-9)[0]
+        x = np.asarray(np.linalg.lstsq(A, b, rcond=1e-9)[0], dtype=float)
         gain = float(b @ x)
         left = max(float(self.gram[-1, -1]) - gain, 1e-30)
         p = f_tail(gain / k / left * (self.freedom - k), k, self.freedom - k)
-        return p, x, float(np.sqrt(max(x @ self.plain @ x, 0.0)))
+        return p, x, float(np.sqrt(max(float(x @ self.plain @ x), 0.0)))
 
     def best(self) -> tuple[float, float]:
         """F test of the best single column, for as many looks as there are columns: probability, rms, metres."""

@@ -179,7 +179,7 @@ def moving(trial: Trial, rng: np.random.Generator, speed: float) -> Trial:
     sensor = trial.world.sensor
     ahead = ConstantTwist(np.eye(4), velocity)
     time = float(np.mean(trial.scan.time)) if trial.scan.time is not None else 0.05
-    R, t = ahead.at(np.array([time]))
+    _, t = ahead.at(np.array([time]))
     then = np.eye(4)
     then[:3, 3] = t[0]
     T_world_target = then @ trial.T  # where it is, as the sensor sees it when it passes
