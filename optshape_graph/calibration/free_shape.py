@@ -18,13 +18,13 @@ from scipy.stats import chi2
 from optshape_graph._arrays import Floats, Ints, frozen
 from optshape_graph.edges import extract_edge_points, with_top_and_bottom
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors.se3 import vec, vec_derivative
 from optshape_graph.pose import estimate_pose
 from optshape_graph.pose.association import fit_plane
 from optshape_graph.pose.azimuth_grid import level_rings
 from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
 from optshape_graph.pose.propagation import Problem, edge_geometry, posterior_step
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import apply, vec, vec_derivative
 from optshape_graph.target import Target
 
 FREE_SIGMA_M = 0.05
@@ -230,7 +230,7 @@ def _by_vertex(problem: Problem, T: Floats, labels: Ints) -> Floats:
     polygon, edges = problem.target.polygon, problem.edges
     n, rows = len(polygon), np.arange(len(edges))
     boundary = edges.points + edges.middle[:, None] * edges.outward(T[0, :3])
-    yz = (boundary @ T[:3, :3].T + T[:3, 3])[:, 1:]
+    yz = apply(T, boundary)[:, 1:]
     first, side = polygon[labels], polygon[(labels + 1) % n] - polygon[labels]
     share = (((yz - first) * side).sum(axis=1) / (side**2).sum(axis=1)).clip(0.0, 1.0)[:, None]
     J = np.zeros((len(edges), n, 2))

@@ -38,7 +38,7 @@ from optshape_graph.factors.augmented import (
     range_directions,
 )
 from optshape_graph.factors.measurement import TemplateMeasurement, edge_rows, plane_rows, refine, template_rows
-from optshape_graph.factors.se3 import inverse_covariance
+from optshape_graph.se3 import inverse_covariance
 from optshape_graph.factors.shape import (
     FreeVertexFactor,
     ShapeFactor,

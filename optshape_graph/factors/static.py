@@ -27,7 +27,7 @@ from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, triangular
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import inverse
 
 
 def ring_bias_columns(

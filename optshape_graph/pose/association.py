@@ -18,6 +18,7 @@ import numpy as np
 from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
+from optshape_graph.se3 import transform
 from optshape_graph.target import Target
 
 _ANGLES = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
@@ -254,9 +255,5 @@ def in_plane_poses(angle: Floats, t: Floats, plane: ReturnsPlane) -> Floats:
     turn[:, 0, 0] = 1.0
     turn[:, 1, 1] = turn[:, 2, 2] = c
     turn[:, 1, 2], turn[:, 2, 1] = -s, s
-    T = np.zeros((len(angle), 4, 4))
-    T[:, :3, :3] = turn @ plane.axes
-    T[:, 1:3, 3] = t
-    T[:, :3, 3] -= T[:, :3, :3] @ plane.centre
-    T[:, 3, 3] = 1.0
-    return T
+    R = turn @ plane.axes
+    return transform(R, np.column_stack([np.zeros(len(t)), t]) - R @ plane.centre)

@@ -22,6 +22,7 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError, missing_extra
 from optshape_graph.factors.measurement import TemplateMeasurement, refine
+from optshape_graph.se3 import transform
 
 Backend = Literal["clarabel", "cvxpy"]
 
@@ -192,8 +193,7 @@ def solve_relaxation(Q: Floats, backend: Backend = "clarabel") -> Relaxation:
     _, K = eliminate_translation(Q)
     leading = np.linalg.eigh(dual.X)[1][:, -1]
     R = project_rotation((leading[:9] / leading[9]).reshape(3, 3).T)
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, K @ np.append(R.T.ravel(), 1.0)
+    T = transform(R, K @ np.append(R.T.ravel(), 1.0))
     values, vectors = np.linalg.eigh(Q)
     measurement = TemplateMeasurement.from_stack(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, 13, T)
     T = refine(measurement)

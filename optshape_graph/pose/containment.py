@@ -23,7 +23,6 @@ from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import refine, template_rows
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.factors.static import RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.pose.association import ReturnsPlane, fit_plane, in_plane_poses
 from optshape_graph.pose.fit import Evidence, Flag
@@ -32,6 +31,7 @@ from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.result import Ambiguity, Finding
 from optshape_graph.pose.surface import PlaneResiduals, as_seen, find_surface
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
 BANDS = (4, 16, 64, 256)

@@ -8,7 +8,6 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
-from optshape_graph.factors.se3 import inverse, inverse_covariance
 from optshape_graph.pose.certificate import Backend, certify
 from optshape_graph.pose.containment import find_by_containment
 from optshape_graph.pose.fit import Fit, measure_fit
@@ -17,6 +16,7 @@ from optshape_graph.pose.paper import find_as_paper
 from optshape_graph.pose.result import Finding, PoseEstimate, Status
 from optshape_graph.pose.rings import find_by_rings
 from optshape_graph.scan import Scan, without_duplicates
+from optshape_graph.se3 import inverse, inverse_covariance
 from optshape_graph.target import Target
 
 Method = Literal["global", "paper"]

@@ -25,10 +25,10 @@ from scipy.special import log_ndtr, logsumexp, ndtr
 
 from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.edges import EdgePoints
-from optshape_graph.factors.se3 import inverse, vec
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.propagation import Posterior, Problem
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import inverse, vec
 from optshape_graph.sensor import SensorModel
 
 _PLACES = 24  # of the grid within a step that are averaged over

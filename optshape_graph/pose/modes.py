@@ -11,14 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-import gtsam
 import numpy as np
 from scipy.special import gammaln, logsumexp
 
 from optshape_graph._arrays import Bools, Floats
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors.se3 import inverse, inverse_covariance, skew
 from optshape_graph.pose.likelihood import (
     Firings,
     alternative_labels,
@@ -28,6 +26,7 @@ from optshape_graph.pose.likelihood import (
 )
 from optshape_graph.pose.propagation import Posterior, Problem, concatenate, propagate
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import difference, inverse, inverse_covariance, rotation, transform
 from optshape_graph.target import Target
 
 MOST_MODES = 4
@@ -229,14 +228,9 @@ def _meet(a: SampledMode, b: SampledMode) -> bool:
 
 def _overlap(T: Floats, covariance: Floats, floor: Floats | float = 0.0) -> Bools:
     """(C,) whether each pose's region of 3 standard deviations meets the first's."""
-    xi = log(inverse(T[0]) @ T)
+    xi = difference(T[0], T)
     both = covariance + covariance[0] + floor
     return np.asarray(np.einsum("ci,ci->c", xi, np.linalg.solve(both, xi[..., None])[..., 0]) < 9.0)
-
-
-def log(T: Floats) -> Floats:
-    """Tangent vectors (C, 6), rotation first, of transforms (C, 4, 4)."""
-    return np.array([gtsam.Pose3.Logmap(gtsam.Pose3(M)) for M in T])
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,11 +306,6 @@ def _moved(T: Floats, xi: Floats) -> tuple[Floats, Floats]:
     Returns:
         The poses, and the logarithm (S,) of how much volume of rotations a volume of rotation vectors covers there.
     """
-    angle = np.linalg.norm(xi[:, :3], axis=1)
-    half = np.sinc(angle / (2 * np.pi))  # 2 sin(angle / 2) / angle
-    W = skew(xi[:, :3])
-    poses = np.tile(np.eye(4), (len(xi), 1, 1))
-    turn = np.eye(3) + np.sinc(angle / np.pi)[:, None, None] * W + 0.5 * (half**2)[:, None, None] * (W @ W)
-    poses[:, :3, :3] = T[:3, :3] @ turn
-    poses[:, :3, 3] = T[:3, 3] + xi[:, 3:] @ T[:3, :3].T
+    half = np.sinc(np.linalg.norm(xi[:, :3], axis=1) / (2 * np.pi))  # 2 sin(angle / 2) / angle
+    poses = transform(T[:3, :3] @ rotation(xi[:, :3]), T[:3, 3] + xi[:, 3:] @ T[:3, :3].T)
     return poses, 2 * np.log(np.abs(half) + 1e-300)

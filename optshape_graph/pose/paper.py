@@ -9,14 +9,12 @@ residuals alone, says nothing of that.
 
 from __future__ import annotations
 
-import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import EdgePoints, extract_edge_points
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import TemplateMeasurement, edge_rows, plane_rows
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.pose.association import fit_plane
 from optshape_graph.pose.certificate import Backend, solve_relaxation
 from optshape_graph.pose.fit import Evidence
@@ -26,6 +24,7 @@ from optshape_graph.pose.propagation import Problem
 from optshape_graph.pose.result import Ambiguity, Finding
 from optshape_graph.pose.surface import PlaneResiduals, find_surface
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import apply, difference, transform
 from optshape_graph.target import Target
 
 MAX_ITERATIONS = 15
@@ -45,11 +44,11 @@ def find_as_paper(scan: Scan, target: Target, backend: Backend) -> Finding:
         raise EstimationError(f"{scan.name}: {len(points)} edge points determine no pose")
     T = _alternate(points, target, backend)
 
-    measurement = _measurement(points, nearest_lines(_moved(T, points), target), target, T)
+    measurement = _measurement(points, nearest_lines(apply(T, points), target), target, T)
     # The residuals are the only word on the noise that this method has.
     sigma = max(1e-4, float(np.sqrt(2 * measurement.error(T) / max(measurement.n_rows - 6, 1))))
     measurement = TemplateMeasurement.from_stack(measurement.stack / sigma, measurement.n_rows, T)
-    moved = _moved(T, edges.points)
+    moved = apply(T, edges.points)
     labels = nearest_lines(moved, target)
     return Finding(
         target=target,
@@ -87,17 +86,16 @@ def nearest_lines(points: Floats, target: Target) -> Ints:
 def _alternate(points: Floats, target: Target, backend: Backend) -> Floats:
     T, previous, cost = np.eye(4), np.eye(4), np.inf
     for iteration in range(MAX_ITERATIONS):
-        moved = _moved(T, points)
-        centring = np.eye(4)
-        centring[:3, 3] = -moved.mean(axis=0)
-        centred = _moved(centring, moved)
+        moved = apply(T, points)
+        centring = transform(np.eye(3), -moved.mean(axis=0))
+        centred = apply(centring, moved)
         measurement = _measurement(centred, nearest_lines(centred, target), target, np.eye(4))
         relaxation = solve_relaxation(measurement.quadratic(), backend)
         increment = np.eye(4)
         if relaxation.cost < cost:
             cost, increment = relaxation.cost, relaxation.T_target_lidar
             T = increment @ centring @ T
-        change = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(previous) @ increment))
+        change = difference(previous, increment)
         if iteration and np.linalg.norm(change) < TOLERANCE:
             break
         previous = increment
@@ -108,7 +106,3 @@ def _measurement(points: Floats, labels: Ints, target: Target, T: Floats) -> Tem
     A, r = edge_rows(points, target.normals[labels], target.offsets[labels])
     A_plane, r_plane = plane_rows(points)
     return TemplateMeasurement.from_rows(np.vstack([A, A_plane]), np.concatenate([r, r_plane]), T)
-
-
-def _moved(T: Floats, points: Floats) -> Floats:
-    return np.asarray(points @ T[:3, :3].T + T[:3, 3])

@@ -20,14 +20,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import gtsam
 import numpy as np
 from scipy.special import log_ndtr
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import EdgePoints
-from optshape_graph.factors.se3 import vec, vec_derivative
 from optshape_graph.pose.noise import EdgeNoise, outermost_return
+from optshape_graph.se3 import exp, vec, vec_derivative
 from optshape_graph.target import Target
 
 _WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])
@@ -220,7 +219,7 @@ def propagate(
         along = np.maximum(np.abs(geometry.along), 1e-3 * np.linalg.norm(problem.edges.points, axis=1))
         spread = np.maximum(posterior.sigma**2 - geometry.own, 1e-8 * along**2 * width**2) / along**2
         largest = np.abs(step[:, :3]).max(axis=1, initial=0.0)
-        T = T @ _exp(step * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))[:, None])
+        T = T @ exp(step * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))[:, None])
     return replace(posterior, T_target_lidar=T)
 
 
@@ -363,11 +362,6 @@ def _residual_intervals(along: Floats, problem: Problem) -> tuple[Floats, Floats
     log_density[0] -= np.where(along > 0, 0.0, 20.0)
     log_density[1] = np.log(options.lost_ends / span)
     return lower, upper, log_density
-
-
-def _exp(xi: Floats) -> Floats:
-    """Exponential maps (C, 4, 4) of tangent vectors (C, 6), rotation first."""
-    return np.array([gtsam.Pose3.Expmap(x).matrix() for x in xi])
 
 
 def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats, Floats]:

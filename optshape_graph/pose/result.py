@@ -10,11 +10,11 @@ import numpy as np
 from optshape_graph._arrays import Floats, Ints, frozen
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.measurement import TemplateMeasurement
-from optshape_graph.factors.se3 import adjoint, inverse, inverse_covariance, skew
 from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.pose.certificate import Certificate
 from optshape_graph.pose.fit import Evidence, Fit
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import adjoint, apply, inverse, inverse_covariance, skew
 from optshape_graph.target import Target
 
 Status = Literal["ok", "doubtful", "ambiguous", "failed"]
@@ -137,13 +137,13 @@ class PoseEstimate:
     @property
     def vertices(self) -> Floats:
         """(n, 3) vertices, LiDAR frame, metres."""
-        return np.asarray(self.target.vertices @ self.T_lidar_target[:3, :3].T + self.T_lidar_target[:3, 3])
+        return apply(self.T_lidar_target, self.target.vertices)
 
     @property
     def vertex_covariances(self) -> Floats:
         """(n, 3, 3) covariance of each vertex, LiDAR frame, square metres."""
         R = self.T_lidar_target[:3, :3]
-        J = np.array([R @ np.hstack([-skew(v), np.eye(3)]) for v in self.target.vertices])
+        J = np.concatenate([-R @ skew(self.target.vertices), np.tile(R, (len(self.target), 1, 1))], axis=-1)
         return np.asarray(J @ self.covariance @ np.swapaxes(J, 1, 2))
 
     @property
@@ -162,14 +162,11 @@ class PoseEstimate:
     @property
     def equivalent_poses(self) -> Floats:
         """(S, 4, 4) T_lidar_target of every pose that a symmetric target cannot tell apart, this one first."""
-        poses = np.tile(self.T_lidar_target, (len(self.target.symmetries), 1, 1))
-        poses[:, :3, :3] = self.T_lidar_target[:3, :3] @ np.array(self.target.symmetry_rotations)
-        return poses
+        return np.asarray(self.T_lidar_target @ self.target.symmetry_transforms)
 
     def equivalent(self, k: int) -> PoseEstimate:
         """Return this estimate with the vertices named otherwise: `equivalent_poses[k]`, and all that goes with it."""
-        turn = np.eye(4)
-        turn[:3, :3] = self.target.symmetry_rotations[k]
+        turn = self.target.symmetry_transforms[k]
         Ad = adjoint(inverse(turn))
         normals = self.target.normals @ turn[1:3, 1:3]  # of each edge, in the turned target's frame
         renamed = (normals @ self.target.normals.T).argmax(axis=1)

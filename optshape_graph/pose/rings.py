@@ -15,12 +15,11 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.edges import EdgePoints, extract_edge_points, with_top_and_bottom
 from optshape_graph.factors.measurement import TemplateMeasurement, refine, template_rows
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.factors.static import EDGE_OFFSET, STRAIN, BiasedMeasurement, SharedError
 from optshape_graph.pose.association import enumerate_poses, fit_plane
 from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
 from optshape_graph.pose.fit import Evidence
-from optshape_graph.pose.modes import Modes, compare_modes, log, rank
+from optshape_graph.pose.modes import Modes, compare_modes, rank
 from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.outline import Ends, fit_ends, strain_columns, tilt_of_rings
@@ -28,6 +27,7 @@ from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry
 from optshape_graph.pose.result import Ambiguity, Finding
 from optshape_graph.pose.surface import PlaneResiduals, as_seen, find_surface
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import difference, inverse
 from optshape_graph.target import Target
 
 
@@ -94,16 +94,8 @@ def _bounded(edges: EdgePoints, scan: Scan) -> EdgePoints:
 
 def _upright(T: Floats, target: Target) -> Floats:
     """Turn poses (C, 4, 4) by the target's symmetries so that its z axis is as nearly up as it gets."""
-    if len(target.symmetries) == 1:
-        return T
-    S = np.array(target.symmetry_rotations)
-    turned = np.swapaxes(S, 1, 2)[None] @ T[:, None, :3, :3]  # (T_lidar_target S)^-1 = S^T T_target_lidar
-    best = turned[:, :, 2, 2].argmax(axis=1)
-    rows = np.arange(len(T))
-    result = T.copy()
-    result[:, :3, :3] = turned[rows, best]
-    result[:, :3, 3] = (np.swapaxes(S, 1, 2)[best] @ T[:, :3, 3:])[..., 0]
-    return result
+    turned = inverse(target.symmetry_transforms) @ T[:, None]  # (T_lidar_target S)^-1 = S^-1 T_target_lidar
+    return np.asarray(turned[np.arange(len(T)), turned[:, :, 2, 2].argmax(axis=1)])
 
 
 def _edge_measurement(problem: Problem, modes: Modes, ends: Ends) -> tuple[BiasedMeasurement, float]:
@@ -166,7 +158,7 @@ def _widen(measurement: TemplateMeasurement, modes: Modes) -> TemplateMeasuremen
     rows = np.flatnonzero(weight)
     if len(rows) == 1:
         return measurement
-    xi = log(inverse(measurement.T_target_lidar) @ posterior.T_target_lidar[rows])
+    xi = difference(measurement.T_target_lidar, posterior.T_target_lidar[rows])
     second_moment = np.einsum("c,cij->ij", weight[rows], posterior.covariance[rows] + xi[:, :, None] * xi[:, None, :])
     factor = max(1.0, float(np.trace(measurement.information() @ second_moment)) / 6.0)
     return TemplateMeasurement.from_stack(
