@@ -29,7 +29,7 @@ from optshape_graph.pose.fit import Evidence, Flag
 from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.result import Ambiguity, Finding
-from optshape_graph.pose.surface import PlaneResiduals, as_seen, find_surface
+from optshape_graph.pose.surface import PlaneResiduals, as_seen, displaced, find_surface
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
@@ -75,15 +75,16 @@ def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Fin
     poses = in_plane_poses(np.array([one.mean[0] for one in sets]), np.array([one.mean[1:] for one in sets]), plane)
 
     # The likeliest set and the plane in one measurement, at its minimum.
-    seen = as_seen(_with_biases(returns, scan), off_plane, shape)
+    seen = as_seen(_with_biases(returns, scan), off_plane)
     shared = _outline_measurement(best, plane) + plane_measurement(seen)
-    measurement = shared.marginal(1.0).at(poses[0])
+    T_target_lidar = refine(shared.marginal(1.0).at(poses[0]))
+    shared = displaced(shared, shape, off_plane, target, T_target_lidar)
     margin, rival = (np.inf, None) if len(sets) == 1 else (best.log_mass - sets[1].log_mass, inverse(poses[1]))
     outside = target.outside_distance(q @ _turn(best.mean[0]).T + best.mean[1:]) > REACH * (beam.sigma + beam.offset)
     return Finding(
         target=target,
         returns=scan,
-        measurement=measurement.at(refine(measurement)),
+        measurement=shared.marginal(1.0).at(T_target_lidar),
         shared=shared,
         total_weight=float((1 / returns.sigma**2).sum() + np.trace(np.linalg.inv(best.covariance[1:, 1:]))),
         ambiguity=Ambiguity(margin, rival),

@@ -160,7 +160,7 @@ def plane_flags(evidence: Evidence, T_target_lidar: Floats) -> list[Flag]:
         Flag("raised frame", abs(step) / RIM_STEP * (chance < 10**-6.5),
              f"returns within {100 * RIM:.0f} cm of the rim stand {1e3 * abs(step):.0f} mm "
              f"{'in front' if step < 0 else 'behind'}: a raised frame"),
-        Flag("mixed ends", max(far.mean() / 0.07, near.mean() / 0.20, mean / scale / 0.016) * (near.sum() > 3),
+        Flag("mixed ends", max(far.mean() / 0.07, near.mean() / 0.20, mean / scale / 0.020) * (near.sum() > 3),
              f"{near.mean():.0%} of the ring ends lie more than {3 * scale:.0f} cm off their ring: mixed with the "
              "background, or a frame"),
         Flag("off the plane", off / OFF_PLANE,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -132,11 +131,6 @@ class PlaneReturns:
     def widened(self, noise: float, bias: float) -> PlaneReturns:
         """Return them with noise and biases that are so many times as large."""
         return replace(self, sigma=noise * self.sigma, bias=bias / noise * self.bias)
-
-    def with_errors(self, kinds: Sequence[str], columns: Floats) -> PlaneReturns:
-        """Return them with further errors that all share: columns (N, K), metres for a standard deviation of each."""
-        errors = (*self.errors, *(SharedError(kind) for kind in kinds))
-        return replace(self, errors=errors, bias=np.hstack([self.bias, columns / self.sigma[:, None]]))
 
 
 def returns_on_plane(

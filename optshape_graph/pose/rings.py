@@ -25,7 +25,7 @@ from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.outline import Ends, fit_ends, strain_columns, tilt_of_rings
 from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry
 from optshape_graph.pose.result import Ambiguity, Finding
-from optshape_graph.pose.surface import PlaneResiduals, as_seen, find_surface
+from optshape_graph.pose.surface import PlaneResiduals, as_seen, displaced, find_surface
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import difference, inverse
 from optshape_graph.target import Target
@@ -38,15 +38,15 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         EstimationError: the returns determine no pose at all.
     """
     # What was measured: ring ends on the grid of firings, and all returns against a plane near the target's.
+    levelled, angular_noise = level_rings(scan)
+    edges = place_on_firings(extract_edge_points(levelled), levelled, angular_noise)
     assert scan.ring is not None
-    ring, tilt = scan.ring, tilt_of_rings(scan)
-    scan, angular_noise = level_rings(scan)
-    edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
+    ring, tilt, scan = scan.ring, tilt_of_rings(scan), levelled
     plane = fit_plane(scan.points, scan.ring)
     returns = returns_on_plane(scan, plane.axes[0], plane.distance, angular_noise, options)
     off_plane = PlaneResiduals.of(returns, plane, target, ring)
     shape = find_surface(off_plane)
-    on_plane = plane_measurement(as_seen(returns, off_plane, shape))
+    on_plane = plane_measurement(as_seen(returns, off_plane))
     bounded = edges if angular_noise else _bounded(edges, scan)
     problem = Problem(bounded, target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor, options))
 
@@ -59,8 +59,9 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
     ends = fit_ends(replace(problem, edges=edges), best.T_target_lidar[0], best.geometry.labels[0, :n])
     on_edges, edge_weight = _edge_measurement(problem, modes, ends)
     shared = on_edges + on_plane
-    measurement = shared.marginal(1.0)
-    measurement = _widen(measurement.at(refine(measurement)), modes)
+    T_target_lidar = refine(shared.marginal(1.0))
+    shared = displaced(shared, shape, off_plane, target, T_target_lidar)
+    measurement = _widen(shared.marginal(1.0).at(T_target_lidar), modes)
 
     # How the ring ends lie about the edges there.
     final = edge_geometry(problem, measurement.T_target_lidar[None], best.geometry.labels)

@@ -16,9 +16,10 @@ import numpy as np
 from scipy.special import betainc
 
 from optshape_graph._arrays import Bools, Floats, Ints
-from optshape_graph.factors.static import RANGE_OFFSET, SURFACE
+from optshape_graph.factors.static import SURFACE, BiasedMeasurement, SharedError
 from optshape_graph.pose.association import ReturnsPlane
 from optshape_graph.pose.noise import PlaneReturns
+from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 SEEN = 0.02
@@ -168,18 +169,39 @@ class Surface:
     probability: float
 
 
-def as_seen(returns: PlaneReturns, residuals: PlaneResiduals, surface: Surface) -> PlaneReturns:
-    """Return what is of the plane, with noise and biases as large as they are seen, and with the target's own errors.
+def as_seen(returns: PlaneReturns, residuals: PlaneResiduals) -> PlaneReturns:
+    """Return what is of the plane, with noise and biases as large as they are seen."""
+    noise, bias = residuals.noise / residuals.file_noise, residuals.bias / residuals.file_bias
+    return returns.widened(noise, bias).select(residuals.usual)
+
+
+def displaced(
+    measurement: BiasedMeasurement, surface: Surface, residuals: PlaneResiduals, target: Target, T_target_lidar: Floats
+) -> BiasedMeasurement:
+    """Let the plane that was fitted lie off the target's own.
 
     A shape of rms e leaves the plane's distance open by 2 e, and its tilts by 2 e over the radius of gyration: which
-    part of it was drawn as the plane nobody knows.
+    part of it was drawn as the plane nobody knows. The place in the plane goes with it, for rays keep their directions.
+
+    Args:
+        measurement: of the pose.
+        surface: the shape in the distances from the plane.
+        residuals: these distances.
+        target: the template.
+        T_target_lidar: (4, 4) where the measurement is at its minimum.
     """
-    seen = returns.widened(residuals.noise / residuals.file_noise, residuals.bias / residuals.file_bias)
-    if surface.size > 0:
-        seen = seen.with_errors(SURFACE, 2 * surface.size * residuals.terms[:, :3])
-    if residuals.excess > 0:
-        seen = seen.with_errors([RANGE_OFFSET], np.full((len(seen.points), 1), residuals.excess))
-    return seen.select(residuals.usual)
+    if surface.size + residuals.excess == 0:
+        return measurement
+    tilt = 2 * surface.size / gyration(target)
+    plane, within = [1, 2, 3], [0, 4, 5]  # turns about y and z and the shift along x; the rest
+    Ad = adjoint(inverse(T_target_lidar))
+    information = Ad.T @ measurement.marginal(1.0).information(T_target_lidar) @ Ad
+    effect = np.zeros((6, 3))
+    effect[plane] = np.diag([tilt, tilt, np.hypot(2 * surface.size, residuals.excess)])
+    effect[within] = -np.linalg.solve(
+        information[np.ix_(within, within)], information[np.ix_(within, plane)] @ effect[plane]
+    )
+    return measurement.displaced([SharedError(kind) for kind in SURFACE], effect, T_target_lidar)
 
 
 def gyration(target: Target) -> float:
