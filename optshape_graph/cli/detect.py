@@ -29,8 +29,8 @@ def command(
     (not finite, or at the origin); `doubtful_indices` are further returns that the pose rests on, at the target's rim
     or with much noise. What was looked at and is no target is listed with the reason.
 
-    Exit status 3: some scans could not be used, or a target's shape or pose is ambiguous; the results of the others
-    are written.
+    Exit status 3: some scans could not be used, or a target's pose is doubtful, or its shape or pose ambiguous; the
+    results of the others are written.
     """
     from optshape_graph.cli.console import print_table, progress_bar
     from optshape_graph.detection import detect_targets
@@ -69,7 +69,7 @@ def command(
                 for k, one in enumerate(detections.found):
                     pictures.save(f"{name}_{k}_{one.target.name}", plot_fit(scan, one.estimate))
             if not found:
-                rows.append([path.name, "none", *[""] * 6, f"{len(rejected)} rejected"])
+                rows.append([path.name, "none", *[""] * 7, f"{len(rejected)} rejected"])
             reasons += [f"{path}: {one.status}: {one.reason}" for one in detections.found if one.reason]
     if len(unusable) == len(scans):
         raise unusable[0]
@@ -77,9 +77,10 @@ def command(
         write_json(json_path, {"schema": "optshape/detect/1", "scans": entries})
     print_table(
         "T_lidar_target",
-        ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "margin"],
+        ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "fit", "margin"],
         rows,
-        "score: 0 to 1. margin: log likelihood to the next of the targets asked for, where one fits as well.",
+        "score: 0 to 1. fit: chi-square per degree of freedom of plane / edges, or what makes the pose doubtful. "
+        "margin: log likelihood to the next of the targets asked for, where one fits as well.",
     )
     if pictures:
         pictures.tell()
@@ -104,6 +105,7 @@ def _target(detection: Detection) -> dict[str, Any]:
         "margin": detection.margin if detection.rival else None,
         "probabilities": dict(detection.probabilities),
         "evidence": vars(detection.evidence),
+        "fit": estimate.fit.to_dict(),
     }
 
 
@@ -127,5 +129,6 @@ def _row(path: Path, detection: Detection) -> list[str]:
         *(f"{x:.3f}" for x in position),
         f"{detection.score:.2f}",
         str(len(detection.indices)),
+        detection.estimate.fit.summary,
         f"{detection.margin:.3g}" if detection.rival else "",
     ]

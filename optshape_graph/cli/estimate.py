@@ -36,7 +36,7 @@ def command(
 ) -> int:
     """Estimate a target's pose in each SCAN (PCD, PLY, NPZ or CSV), which holds the target's returns and no others.
 
-    Exit status 3: some scans failed or are ambiguous; the results of the others are written.
+    Exit status 3: some scans failed, or are doubtful or ambiguous; the results of the others are written.
     """
     from optshape_graph.cli.console import print_table, progress_bar
     from optshape_graph.errors import EstimationError, InputError
@@ -61,7 +61,7 @@ def command(
                 if isinstance(error, InputError):
                     unreadable.append(error)
                 entries.append(_failed(path, template.name, str(error)))
-                rows.append([path.name, "failed", *[""] * 8])
+                rows.append([path.name, "failed", *[""] * 9])
                 reasons.append(f"{path}: {error}" if isinstance(error, EstimationError) else str(error))
                 continue
             entries.append(_entry(path, estimate))
@@ -79,10 +79,11 @@ def command(
         write_json(json_path, {"schema": "optshape/estimate/1", "scans": entries})
     print_table(
         f"{template.name}: T_lidar_target",
-        ["scan", "status", "x [m]", "y [m]", "z [m]", "± mm", "± deg", "cert.", "margin", "returns"],
+        ["scan", "status", "x [m]", "y [m]", "z [m]", "± mm", "± deg", "cert.", "margin", "fit", "returns"],
         rows,
         "±: largest standard deviation of position and rotation. cert.: globally optimal. "
-        "margin: log likelihood to the best different pose.",
+        "margin: log likelihood to the best different pose. fit: chi-square per degree of freedom of plane / edges, or "
+        "what makes the pose doubtful.",
     )
     if pictures:
         pictures.tell()
@@ -94,7 +95,7 @@ def command(
 def _failed(path: Path, target: str, reason: str) -> dict[str, Any]:
     empty = dict.fromkeys(
         ["T_lidar_target", "covariance", "vertices", "certificate", "ambiguity", "equivalent_poses", "inset_rad",
-         "labels", "edge_points", "n_returns"]
+         "labels", "edge_points", "n_returns", "fit"]
     )  # fmt: skip
     return {"scan": str(path), "target": target, "status": "failed", "reason": reason, **empty}
 
@@ -124,6 +125,7 @@ def _entry(path: Path, estimate: PoseEstimate) -> dict[str, Any]:
         "labels": estimate.labels.tolist(),
         "edge_points": estimate.edge_points.points.tolist(),
         "n_returns": estimate.n_returns,
+        "fit": estimate.fit.to_dict(),
     }
 
 
@@ -142,5 +144,6 @@ def _row(path: Path, estimate: PoseEstimate) -> list[str]:
         f"{np.degrees(sd[:3].max()):.2f}",
         "yes" if estimate.certificate.certified else "no",
         margin,
+        estimate.fit.summary,
         str(estimate.n_returns),
     ]

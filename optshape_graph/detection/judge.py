@@ -28,7 +28,7 @@ def edge_margin(scan: OrderedScan, estimate: PoseEstimate) -> float:
 def outline_error(estimate: PoseEstimate) -> float:
     """Return the largest standard deviation of the outline's place among the rays, metres.
 
-    An error of the plane moves the outline and the returns along the same rays: it is that in the plane, the plane given.
+    An error of the plane moves the outline and the returns along the same rays, so the plane counts as given.
     """
     within = np.ix_([0, 4, 5], [0, 4, 5])  # the turn about the normal, y and z
     given = np.linalg.inv(np.linalg.inv(estimate.covariance)[within])

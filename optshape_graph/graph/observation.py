@@ -61,11 +61,13 @@ class Observation:
             target: which target; None: the template's name.
 
         Raises:
-            InputError: the estimate failed.
+            InputError: the estimate failed or is doubtful.
         """
         name = estimate.target.name if target is None else target
-        if estimate.status == "failed":
-            raise InputError(f"scan '{scan}': the estimate of target '{name}' failed; it is no observation")
+        if estimate.status in ("failed", "doubtful"):
+            raise InputError(
+                f"scan '{scan}': the estimate of target '{name}' is {estimate.status}; it is no observation"
+            )
         return cls(scan, name, estimate.measurement, estimate.target.symmetry_rotations)
 
     @property

@@ -93,9 +93,9 @@ def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: 
         if detection.rival is not None and detection.status == "ambiguous":
             continue  # which target it is, is not known
         fired, returns = scan.select(detection.indices), straight.select(detection.indices)
-        if moving and _lifted(fired, returns) > OFF_ITS_RING:
+        if moving and (_lifted(fired, returns) > OFF_ITS_RING or not detection.estimate.usable):
             seen = _moving_sighting(fired, detection.target, twist, name, shapes, biases)
-        elif detection.estimate.status != "failed":
+        elif detection.estimate.usable:
             seen = _sighting(detection.estimate, returns, name, shapes, biases)
         else:
             seen = None
@@ -126,7 +126,7 @@ def _moving_sighting(
         estimate, at = estimate_moving(returns, target, twist)
     except EstimationError:
         return None
-    if estimate.status == "failed":
+    if not estimate.usable:
         return None
     sighting = _sighting(estimate, deskew(returns, twist, at), name, shapes, biases)
     return sighting.moved(exp(at * twist))

@@ -92,6 +92,14 @@ class Fit:
     warnings: tuple[str, ...]
 
     @property
+    def summary(self) -> str:
+        """The worst of `flags` in a word or two; where there is none, chi-square per degree of freedom."""
+        if self.flags:
+            return self.flags[0].kind
+        parts = [(self.plane_chi_square, self.plane_freedom), (self.edge_chi_square, self.edge_freedom)]
+        return " / ".join(f"{square / freedom:.1f}" for square, freedom in parts if freedom)
+
+    @property
     def reason(self) -> str:
         """Why the pose is doubtful, the worst first; empty where it isn't."""
         return "; ".join(flag.reason for flag in self.flags)

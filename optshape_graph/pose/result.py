@@ -125,6 +125,11 @@ class PoseEstimate:
         object.__setattr__(self, "labels", frozen(self.labels, np.int64))
 
     @property
+    def usable(self) -> bool:
+        """Whether factors may be made of it: neither failed nor doubtful. An ambiguous one has a rival beside it."""
+        return self.status not in ("failed", "doubtful")
+
+    @property
     def T_target_lidar(self) -> Floats:
         """(4, 4) inverse of T_lidar_target."""
         return inverse(self.T_lidar_target)

@@ -106,7 +106,7 @@ def target_in_scan(
         EstimationError: no pose can be estimated, or it is not to be used.
     """
     estimate = estimate_pose(returns, target) if estimate is None else estimate
-    if estimate.status == "failed" or estimate.shared is None:
+    if not estimate.usable or estimate.shared is None:
         raise EstimationError(f"{returns.name}: {estimate.reason}")
     shared, shared_effect = _shared_errors(estimate)
     return TargetInScan(
