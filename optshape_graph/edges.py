@@ -114,11 +114,16 @@ class EdgePoints:
 
         Along the ring it is +-(z x p), across the rings +-(p x (z x p)) / |z x p|.
         """
-        x, y, z = self.points.T
-        flat = np.hypot(x, y)
-        azimuthal = np.column_stack([-y, x, np.zeros(len(x))])
-        polar = np.column_stack([-x * z / flat, -y * z / flat, flat])
-        return frozen(np.where(np.abs(self.side)[:, None] == LEFT, azimuthal, polar) * np.sign(self.side)[:, None])
+        azimuthal = np.column_stack([-self.points[:, 1], self.points[:, 0], np.zeros(len(self))])
+        along = np.where(np.abs(self.side)[:, None] == LEFT, azimuthal, upward(self.points))
+        return frozen(along * np.sign(self.side)[:, None])
+
+
+def upward(points: Floats) -> Floats:
+    """(N, 3) motion of points (N, 3) as their elevation grows at constant range, metres per radian."""
+    x, y, z = points.T
+    flat = np.hypot(x, y)
+    return np.column_stack([-x * z / flat, -y * z / flat, flat])
 
 
 def relative_azimuth(points: Floats) -> tuple[Floats, float]:
