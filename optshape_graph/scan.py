@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError
 from optshape_graph.sensor import SensorModel
 
 Values = TypeVar("Values", Floats | None, Ints | None)
 
 
-@dataclass(frozen=True, eq=False)
-class Scan:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scan(Value):
     """Returns of one LiDAR, of one revolution or part of it.
 
     Attributes:

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError
 
 
-@dataclass(frozen=True, eq=False)
-class SensorModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class SensorModel(Value):
     """A spinning multi-beam LiDAR.
 
     Attributes:

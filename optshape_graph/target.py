@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats, frozen
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError
 
 LARGEST_EXTENT_M = 50.0
@@ -57,8 +58,8 @@ class Tags:
     turn: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Target:
+@dataclass(frozen=True, eq=False, repr=False)
+class Target(Value):
     """A planar convex polygon with n >= 3 vertices.
 
     Edge k runs from vertex k to vertex k + 1 (mod n).

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.calibration.camera_evidence import CrossValidation, ViewErrors, view_errors
 from optshape_graph.calibration.camera_graph import CalibrationGraph, Discrepancy, Rig, Sighting, Unknowns
 from optshape_graph.calibration.camera_noise import with_estimated_pixel_noise
@@ -45,8 +46,8 @@ Progress = Callable[[int, int], None]
 """Called with how many solutions are done, and how many there are."""
 
 
-@dataclass(frozen=True, eq=False)
-class ViewResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class ViewResult(Value):
     """What became of a view.
 
     Attributes:
@@ -63,8 +64,8 @@ class ViewResult:
     errors: ViewErrors | None
 
 
-@dataclass(frozen=True, eq=False)
-class CameraCalibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class CameraCalibration(Value):
     """The sensors' places, and how far to trust them.
 
     Attributes:

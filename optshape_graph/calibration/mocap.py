@@ -16,6 +16,7 @@ import numpy as np
 from gtsam.symbol_shorthand import E, H, M, S
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.calibration.mocap_comparison import MocapScan, ScanError, in_sample, leave_one_out, name_alike, tie
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import CheckedFactor, TemplateFactor
@@ -32,8 +33,8 @@ SCALE_PRIOR = 0.05
 """Standard deviation of the motion capture's scale about 1, where it is estimated."""
 
 
-@dataclass(frozen=True, eq=False)
-class MocapCalibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class MocapCalibration(Value):
     """A LiDAR tied to motion capture.
 
     Attributes:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.calibration.camera_graph import Sighting
 from optshape_graph.calibration.camera_observability import principal_directions
 from optshape_graph.calibration.images.image_points import ImagePoints
@@ -30,8 +31,8 @@ TILTS_DEG = (-35.0, 0.0, 35.0)
 """Angles about the vertical and about the horizontal by which the target is tried turned from facing the LiDAR."""
 
 
-@dataclass(frozen=True, eq=False)
-class NextPlacement:
+@dataclass(frozen=True, eq=False, repr=False)
+class NextPlacement(Value):
     """A placement of the target that was not taken yet.
 
     Attributes:

@@ -9,10 +9,11 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 
 
-@dataclass(frozen=True, eq=False)
-class Uncertainty:
+@dataclass(frozen=True, eq=False, repr=False)
+class Uncertainty(Value):
     """How well the sensors' places and range biases are known at a minimum of the graph.
 
     Attributes:

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Bools, Ints
+from optshape_graph._value import Value
 from optshape_graph.detection.patches import FEWEST_RETURNS
 from optshape_graph.detection.runs import ring_ends
 from optshape_graph.detection.segments import LONGEST_GAP, Sweep
 
 
-@dataclass(frozen=True, eq=False)
-class Borders:
+@dataclass(frozen=True, eq=False, repr=False)
+class Borders(Value):
     """Both ends of each ring on a surface.
 
     Attributes:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._value import Value
 from optshape_graph.detection.borders import borders
 from optshape_graph.detection.limbs import without_limbs
 from optshape_graph.detection.patches import RINGS_APART, Patch
@@ -16,8 +17,8 @@ from optshape_graph.errors import EstimationError
 from optshape_graph.pose.association import ReturnsPlane, fit_plane
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
+@dataclass(frozen=True, eq=False, repr=False)
+class Candidate(Value):
     """Connected returns in one plane.
 
     Attributes:

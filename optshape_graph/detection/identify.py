@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
+from optshape_graph._value import Value
 from optshape_graph.detection.candidates import Candidate
 from optshape_graph.detection.judge import edge_margin, judge, objection, returns_of, undoubted
 from optshape_graph.detection.results import Detection, Evidence, Rejection
@@ -28,8 +29,8 @@ UNLIKELY = 1e-3
 """Probability below which a target that fits is not named as a candidate."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class _Fit(Value):
     """One target fitted to a candidate: rows of the sweep taken for its returns, pose, evidence."""
 
     rows: Ints

@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._value import Value
 from optshape_graph.detection.segments import STEEPEST, Sweep
 
 FEWEST_RETURNS = 3
@@ -28,8 +29,8 @@ OFF_PLANE_SIGMAS = 3.0
 """Root mean square distance from a plane beyond which a segment is not in it."""
 
 
-@dataclass(frozen=True, eq=False)
-class Patch:
+@dataclass(frozen=True, eq=False, repr=False)
+class Patch(Value):
     """Ring segments in one plane, connected.
 
     Attributes:

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, frozen
+from optshape_graph._value import Value
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class Evidence:
+@dataclass(frozen=True, eq=False, repr=False)
+class Evidence(Value):
     """What speaks for a target at a pose: shares of rays, each 1 for a target that hangs free and is seen whole.
 
     Attributes:
@@ -40,8 +41,8 @@ class Evidence:
         return self.contained * self.covered * self.edged * self.solid * self.free * self.stepped
 
 
-@dataclass(frozen=True, eq=False)
-class Detection:
+@dataclass(frozen=True, eq=False, repr=False)
+class Detection(Value):
     """A target found in a scan.
 
     Attributes:
@@ -81,8 +82,8 @@ class Detection:
         return self.evidence.score
 
 
-@dataclass(frozen=True, eq=False)
-class Rejection:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rejection(Value):
     """A surface that was looked at and is none of the targets.
 
     Attributes:

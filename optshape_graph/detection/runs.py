@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
+from optshape_graph._value import Value
 from optshape_graph.detection.segments import LONGEST_GAP, Sweep
 
 
-@dataclass(frozen=True, eq=False)
-class Runs:
+@dataclass(frozen=True, eq=False, repr=False)
+class Runs(Value):
     """Returns in one plane, ring by ring, and the runs they form.
 
     Attributes:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._value import Value
 from optshape_graph.edges import azimuth_spacing
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.scan import Scan
@@ -53,8 +54,8 @@ class Resolution:
         return BAND_SIGMAS * float(np.hypot(self.off_plane * cos_incidence, FLATNESS))
 
 
-@dataclass(frozen=True, eq=False)
-class Sweep:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep(Value):
     """A scan's returns ring by ring, by azimuth, cut into segments.
 
     Attributes:

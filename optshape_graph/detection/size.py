@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.detection.candidates import Candidate
 from optshape_graph.target import Target
 
@@ -19,8 +20,8 @@ EXCESS = 0.2
 """By how much a target may seem larger than it is: half a step at both ends of each ring, mixed returns, a stand."""
 
 
-@dataclass(frozen=True, eq=False)
-class Size:
+@dataclass(frozen=True, eq=False, repr=False)
+class Size(Value):
     """Measures of a polygon that no rotation changes.
 
     Attributes:

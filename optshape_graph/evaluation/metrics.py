@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats, frozen
+from optshape_graph._value import Value
 from optshape_graph.target import Target
 
 
@@ -70,8 +71,8 @@ def quantisation_error(azimuth_step: float, distance: float) -> float:
     return azimuth_step * distance
 
 
-@dataclass(frozen=True, eq=False)
-class NormalisedError:
+@dataclass(frozen=True, eq=False, repr=False)
+class NormalisedError(Value):
     """A pose error in the target's tangent space, against its covariance.
 
     Attributes:

@@ -14,6 +14,7 @@ from scipy.stats import spearmanr
 
 import optshape_graph
 from optshape_graph._arrays import Bools, Floats
+from optshape_graph._value import Value
 from optshape_graph.design.bound import covariance_bound
 from optshape_graph.design.family import Family
 from optshape_graph.design.judgement import DEGREE, worst_cell
@@ -32,8 +33,8 @@ TILT = np.radians(30.0)
 """Largest incidence of the simulated targets."""
 
 
-@dataclass(frozen=True, eq=False)
-class ShapeTrials:
+@dataclass(frozen=True, eq=False, repr=False)
+class ShapeTrials(Value):
     """One shape over all placements.
 
     Attributes:

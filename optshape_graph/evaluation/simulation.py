@@ -12,6 +12,7 @@ import numpy as np
 
 import optshape_graph
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.design.bound import covariance_bound
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.evaluation.harness import Progress, Row, run_tasks
@@ -51,8 +52,8 @@ class Estimate(Protocol):
 Estimator = Callable[[Scan, Target, str], Estimate]
 
 
-@dataclass(frozen=True, eq=False)
-class SimulationSweep:
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulationSweep(Value):
     """What to simulate, and how to estimate it.
 
     Attributes:
@@ -134,8 +135,8 @@ class SimulationSweep:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class SweepTask:
+@dataclass(frozen=True, eq=False, repr=False)
+class SweepTask(Value):
     """Some draws of one cell.
 
     Attributes:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from optshape_graph._arrays import Floats, Ints
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError
 from optshape_graph.evaluation.metrics import nearest_equivalent
 from optshape_graph.factors.se3 import inverse
@@ -55,8 +56,8 @@ class ErrorStatistics:
         )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class AbsoluteError:
+@dataclass(frozen=True, eq=False, repr=False)
+class AbsoluteError(Value):
     """Errors of a trajectory as a whole.
 
     Attributes:
@@ -72,8 +73,8 @@ class AbsoluteError:
     distances: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class RelativeError:
+@dataclass(frozen=True, eq=False, repr=False)
+class RelativeError(Value):
     """Errors of the motion over a distance.
 
     Attributes:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats, frozen
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, in_plane, outer_rows, triangular
 from optshape_graph.factors.se3 import inverse, vec, vec_derivative
@@ -88,8 +89,8 @@ def plane_rows(points: ArrayLike) -> tuple[Floats, Floats]:
     return A, np.zeros(len(p))
 
 
-@dataclass(frozen=True, eq=False)
-class TemplateMeasurement:
+@dataclass(frozen=True, eq=False, repr=False)
+class TemplateMeasurement(Value):
     """The cost 1/2 ||L z + b||^2 + 1/2 c^2 of one target in one scan, z = [vec R (column-major); t] of T_target_lidar.
 
     Plain data: it pickles, it does not grow with the number of points, and measurements of one placement whose

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats, frozen
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, triangular
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
@@ -56,8 +57,8 @@ def ring_bias_columns(
     return B
 
 
-@dataclass(frozen=True, eq=False)
-class BiasedMeasurement:
+@dataclass(frozen=True, eq=False, repr=False)
+class BiasedMeasurement(Value):
     """The cost 1/2 ||S [beta; z; 1]||^2 of a target, beta being the errors that every scan of the scene shares.
 
     Scans of one static scene by one sensor add up (`+`) before `marginal` removes beta: an error of the same name is

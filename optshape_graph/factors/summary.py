@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.factors._noise import gaussian
 from optshape_graph.factors._rows import factored
 from optshape_graph.factors.measurement import TemplateMeasurement
@@ -73,8 +74,8 @@ class Summary:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Linearised:
+@dataclass(frozen=True, eq=False, repr=False)
+class Linearised(Value):
     """Gauss-Newton models 1/2 ||R xi + d||^2 + floor of m measurements, xi the right perturbation of T_target_lidar.
 
     Attributes:

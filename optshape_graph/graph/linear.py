@@ -18,6 +18,7 @@ import scipy.sparse as sparse
 from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.errors import EstimationError
 
 LOOSEST = 1e3
@@ -30,8 +31,8 @@ MOST_DIRECTIONS = 24
 """How many unobservable directions a large graph is searched for."""
 
 
-@dataclass(frozen=True, eq=False)
-class LinearSystem:
+@dataclass(frozen=True, eq=False, repr=False)
+class LinearSystem(Value):
     """A linearised graph: 1/2 ||A x - b||^2 over the tangent vectors of its variables.
 
     Attributes:

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from optshape_graph._arrays import Floats, frozen
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError
 from optshape_graph.factors import TemplateMeasurement
 from optshape_graph.factors.se3 import inverse
@@ -34,8 +35,8 @@ def _no_symmetry() -> tuple[Floats, ...]:
     return (frozen(np.eye(3)),)
 
 
-@dataclass(frozen=True, eq=False)
-class Observation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Observation(Value):
     """One target measured in one scan.
 
     Attributes:

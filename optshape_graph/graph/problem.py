@@ -12,6 +12,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError
 from optshape_graph.factors import TemplateFactor, summarise
 from optshape_graph.factors.se3 import inverse, vec
@@ -20,8 +21,8 @@ from optshape_graph.graph.observation import Observation
 from optshape_graph.graph.solution import Residual
 
 
-@dataclass(frozen=True, eq=False)
-class TargetGraph:
+@dataclass(frozen=True, eq=False, repr=False)
+class TargetGraph(Value):
     """LiDAR poses X(i) and target poses L(j), linked by template measurements; what is known is no variable.
 
     Make one with `build`; it takes no part in solving, which `solve` does.

@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError, UnobservableError
 from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.graph.linear import LinearSystem
@@ -37,8 +38,8 @@ class Residual:
     chi2_pose: float
 
 
-@dataclass(frozen=True, eq=False)
-class UnobservableDirection:
+@dataclass(frozen=True, eq=False, repr=False)
+class UnobservableDirection(Value):
     """A motion of the variables that no measurement resists.
 
     Attributes:
@@ -54,8 +55,8 @@ class UnobservableDirection:
         return self.text
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Value):
     """A solved graph.
 
     Attributes:

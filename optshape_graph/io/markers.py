@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from optshape_graph._arrays import Floats, frozen
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError
 from optshape_graph.io.files import read_text
 from optshape_graph.target import LARGEST_EXTENT_M
@@ -21,8 +22,8 @@ _COLUMNS = ("frame", "marker", "x", "y", "z")
 _SMALLEST_EXTENT_M = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class Markers:
+@dataclass(frozen=True, eq=False, repr=False)
+class Markers(Value):
     """Marker positions over frames.
 
     Attributes:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from optshape_graph._arrays import Floats, frozen
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError
 from optshape_graph.io.files import read_text, write_atomically
 
@@ -21,8 +22,8 @@ TRANSLATION_FIRST = [3, 4, 5, 0, 1, 2]
 """g2o's order of the tangent space (translation, rotation) in GTSAM's (rotation, translation), and back."""
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(Value):
     """Poses over time.
 
     Attributes:
@@ -57,8 +58,8 @@ class Trajectory:
         return len(self.poses)
 
 
-@dataclass(frozen=True, eq=False)
-class PoseGraphEdge:
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseGraphEdge(Value):
     """A relative pose between two vertices.
 
     Attributes:
@@ -73,8 +74,8 @@ class PoseGraphEdge:
     information: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class PoseGraph:
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseGraph(Value):
     """Poses with names, and measurements between them.
 
     Attributes:

@@ -15,6 +15,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import SummaryFactor
 from optshape_graph.factors._noise import gaussian
@@ -234,8 +235,8 @@ class _Batch:
         return linear
 
 
-@dataclass(frozen=True, eq=False)
-class _Model:
+@dataclass(frozen=True, eq=False, repr=False)
+class _Model(Value):
     """Gauss-Newton model 1/2 ||R xi + d||^2 + 1/2 floor of K matches, xi the right perturbation of H.
 
     Attributes:

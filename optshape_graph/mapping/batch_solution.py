@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors import summarise
 from optshape_graph.io.trajectories import PoseGraph, PoseGraphEdge, Trajectory
@@ -19,8 +20,8 @@ from optshape_graph.mapping.track import Keys, MappingProblem
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class Residual:
+@dataclass(frozen=True, eq=False, repr=False)
+class Residual(Value):
     """How well a match fits.
 
     Attributes:
@@ -38,8 +39,8 @@ class Residual:
     weight: float
 
 
-@dataclass(frozen=True, eq=False)
-class BatchSolution:
+@dataclass(frozen=True, eq=False, repr=False)
+class BatchSolution(Value):
     """A solved map.
 
     Attributes:

@@ -19,6 +19,7 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._value import Value
 from optshape_graph.factors import BiasedMeasurement
 from optshape_graph.factors._rows import factored, triangular
 from optshape_graph.factors.se3 import vec, vec_derivative
@@ -28,8 +29,8 @@ BLOCK = 256
 """Matches that are linearised at a time: more would only take memory."""
 
 
-@dataclass(frozen=True, eq=False)
-class Biases:
+@dataclass(frozen=True, eq=False, repr=False)
+class Biases(Value):
     """The part of a problem that has biases as variables.
 
     Attributes:
@@ -95,8 +96,8 @@ class Biases:
         return rows
 
 
-@dataclass(frozen=True, eq=False)
-class BiasModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class BiasModel(Value):
     """Gauss-Newton models 1/2 ||R xi + E beta + d||^2 of matches, and what is of the biases alone, steps from here.
 
     Attributes:

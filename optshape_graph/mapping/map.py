@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from optshape_graph._arrays import Floats, frozen
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError
 from optshape_graph.io.documents import Node, read_document, write_json
 from optshape_graph.io.trajectories import Trajectory
@@ -25,8 +26,8 @@ _UNIT = np.eye(3)
 SCHEMA = "optshape/map/1"
 
 
-@dataclass(frozen=True, eq=False)
-class Landmark:
+@dataclass(frozen=True, eq=False, repr=False)
+class Landmark(Value):
     """A target that stands somewhere.
 
     Attributes:
@@ -56,8 +57,8 @@ class Landmark:
         return np.asarray(self.target.vertices @ self.T_world_target[:3, :3].T + self.T_world_target[:3, 3])
 
 
-@dataclass(frozen=True, eq=False)
-class Map:
+@dataclass(frozen=True, eq=False, repr=False)
+class Map(Value):
     """Landmarks, and where they were seen from.
 
     Attributes:

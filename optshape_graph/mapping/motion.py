@@ -16,6 +16,7 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors.se3 import adjoint, inverse, skew
 from optshape_graph.pose import PoseEstimate, estimate_pose
@@ -78,8 +79,8 @@ def estimate_moving(returns: Scan, target: Target, twist: Floats) -> tuple[PoseE
     return estimate_pose(deskew(returns, twist, at), target), at
 
 
-@dataclass(frozen=True, eq=False)
-class MotionMeasurement:
+@dataclass(frozen=True, eq=False, repr=False)
+class MotionMeasurement(Value):
     """One target in one scan taken while moving, measured at one twist.
 
     Attributes:

@@ -13,6 +13,7 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats
+from optshape_graph._value import Value
 from optshape_graph.factors import ShapeMeasurement, shape_rows
 from optshape_graph.factors._noise import gaussian
 from optshape_graph.factors.se3 import adjoint, inverse
@@ -61,8 +62,8 @@ def _marginal(B: Floats, rows: Floats) -> Floats:
     return R[k:, k:]
 
 
-@dataclass(frozen=True, eq=False)
-class Shapes:
+@dataclass(frozen=True, eq=False, repr=False)
+class Shapes(Value):
     """The shape part of a problem: which matches say something about the vertices of which landmark.
 
     Attributes:

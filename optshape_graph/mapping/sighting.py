@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError
 from optshape_graph.factors import BiasedMeasurement, ShapeMeasurement, Summary, TemplateMeasurement, summarise
 from optshape_graph.factors.se3 import inverse
@@ -22,8 +23,8 @@ RING_BIAS = "range bias of ring "
 """How the pose estimator names what a ring keeps from scan to scan."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sighting:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sighting(Value):
     """One target in one scan.
 
     Attributes:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from optshape_graph._arrays import Floats, frozen
+from optshape_graph._value import Value
 from optshape_graph.factors import BiasedMeasurement, TemplateMeasurement
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.priors import root_of
@@ -13,8 +14,8 @@ from optshape_graph.mapping.sighting import Sighting
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class Odometry:
+@dataclass(frozen=True, eq=False, repr=False)
+class Odometry(Value):
     """Motion between two poses of one session.
 
     Attributes:
@@ -66,8 +67,8 @@ class Match:
         return self.sighting.biased_as(self.hypothesis)
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
+@dataclass(frozen=True, eq=False, repr=False)
+class Start(Value):
     """Where a session starts.
 
     Attributes:
@@ -79,8 +80,8 @@ class Start:
     covariance: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class Track:
+@dataclass(frozen=True, eq=False, repr=False)
+class Track(Value):
     """One session: a robot's poses and what was measured from them.
 
     Attributes:
@@ -100,8 +101,8 @@ class Track:
     start: Start | None
 
 
-@dataclass(frozen=True, eq=False)
-class MappingProblem:
+@dataclass(frozen=True, eq=False, repr=False)
+class MappingProblem(Value):
     """All that there is to solve for in one map.
 
     Attributes:
@@ -117,8 +118,8 @@ class MappingProblem:
     known: Map | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Keys:
+@dataclass(frozen=True, eq=False, repr=False)
+class Keys(Value):
     """Variables: poses X, landmarks L, and as-built vertices V.
 
     Attributes:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._value import Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
 from optshape_graph.pose.labelling import MAX_LABELLINGS, count_labellings, enumerate_labellings
@@ -18,8 +19,8 @@ _REFINED = 48  # labellings whose angle is refined from the grid's
 _SECTOR = 4  # grid steps between the directions in which a rival is looked for
 
 
-@dataclass(frozen=True, eq=False)
-class ReturnsPlane:
+@dataclass(frozen=True, eq=False, repr=False)
+class ReturnsPlane(Value):
     """The plane of the returns, with axes like the target's: away from the sensor, left, up.
 
     Attributes:

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from optshape_graph._arrays import Bools, Floats
+from optshape_graph._value import Value
 from optshape_graph.target import Target
 
 STRAY = 2e-3
@@ -49,8 +50,8 @@ class Beam:
     offset: float
 
 
-@dataclass(frozen=True, eq=False)
-class Containment:
+@dataclass(frozen=True, eq=False, repr=False)
+class Containment(Value):
     """The posterior over one connected set of poses: y = C(angle) q + t for q in the plane of the returns.
 
     Attributes:

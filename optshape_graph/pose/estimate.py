@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph._value import Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.measurement import TemplateMeasurement
 from optshape_graph.factors.se3 import adjoint, inverse, inverse_covariance
@@ -31,8 +32,8 @@ _DIRECTIONS = ("rotation about x", "rotation about y", "rotation about z",
                "translation along x", "translation along y", "translation along z")  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Ambiguity:
+@dataclass(frozen=True, eq=False, repr=False)
+class Ambiguity(Value):
     """How much better the pose is than the best different one.
 
     Attributes:
@@ -44,8 +45,8 @@ class Ambiguity:
     T_lidar_target: Floats | None
 
 
-@dataclass(frozen=True, eq=False)
-class PoseEstimate:
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseEstimate(Value):
     """The pose of a target in a scan, and how far to believe it.
 
     Attributes:

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.special import logsumexp, ndtr
 
 from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._value import Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.se3 import inverse, vec
 from optshape_graph.pose.evidence import chords, share_lost
@@ -31,8 +32,8 @@ _SEEN = 0.05  # a ring's place counts as known below this, in steps
 _REACH = 3.5  # standard deviations of a ring's place that count
 
 
-@dataclass(frozen=True, eq=False)
-class Firings:
+@dataclass(frozen=True, eq=False, repr=False)
+class Firings(Value):
     """What a scan says of chords, in azimuth steps.
 
     Attributes:

@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._value import Value
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.pose.estimate import Ambiguity
 from optshape_graph.pose.likelihood import Firings
@@ -25,8 +26,8 @@ COMPETING = 25.0
 """Difference of log likelihoods by association from which on a mode is not in the running."""
 
 
-@dataclass(frozen=True, eq=False)
-class Candidates:
+@dataclass(frozen=True, eq=False, repr=False)
+class Candidates(Value):
     """Posteriors, each with its own association, and their log likelihoods, best first.
 
     Attributes:
@@ -42,8 +43,8 @@ class Candidates:
         return Candidates(self.posterior.select(index), self.score[index])
 
 
-@dataclass(frozen=True, eq=False)
-class Modes:
+@dataclass(frozen=True, eq=False, repr=False)
+class Modes(Value):
     """The best mode, and what else it might be.
 
     Attributes:

@@ -19,6 +19,7 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
+from optshape_graph._value import Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.se3 import vec, vec_derivative
 from optshape_graph.pose.intervals import mixture_moments
@@ -36,8 +37,8 @@ _SETTLED = 1e-3
 """Relative change of every edge point's precision below which more sweeps change nothing."""
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
+@dataclass(frozen=True, eq=False, repr=False)
+class Problem(Value):
     """What is known of one target in one scan, whatever its pose.
 
     Attributes:
@@ -53,8 +54,8 @@ class Problem:
     noise: EdgeNoise
 
 
-@dataclass(frozen=True, eq=False)
-class EdgeGeometry:
+@dataclass(frozen=True, eq=False, repr=False)
+class EdgeGeometry(Value):
     """Edge points against their edges at C poses: rows linear in the pose, and which way the unknowns move them.
 
     Attributes:
@@ -77,8 +78,8 @@ class EdgeGeometry:
     scatter: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class Posterior:
+@dataclass(frozen=True, eq=False, repr=False)
+class Posterior(Value):
     """Gaussian posteriors about C poses.
 
     Attributes:

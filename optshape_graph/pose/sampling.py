@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import gammaln, logsumexp
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 from optshape_graph.factors.se3 import inverse, inverse_covariance, skew
 from optshape_graph.pose.likelihood import Firings, scan_log_likelihood
 from optshape_graph.pose.propagation import Problem
@@ -30,8 +31,8 @@ _WIDENING = 1.3  # of the posterior's standard deviations
 _ENOUGH = 100  # effective samples
 
 
-@dataclass(frozen=True, eq=False)
-class SampledMode:
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledMode(Value):
     """What samples about a mode say of it.
 
     Attributes:

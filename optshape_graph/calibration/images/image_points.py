@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from optshape_graph._arrays import Floats, frozen
+from optshape_graph._value import Value
 from optshape_graph.errors import InputError
 
 
-@dataclass(frozen=True, eq=False)
-class ImagePoints:
+@dataclass(frozen=True, eq=False, repr=False)
+class ImagePoints(Value):
     """Points of a target with their pixels in one image.
 
     Attributes:

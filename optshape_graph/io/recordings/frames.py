@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Floats
+from optshape_graph._value import Value
 
 
-@dataclass(frozen=True, eq=False)
-class Mounting:
+@dataclass(frozen=True, eq=False, repr=False)
+class Mounting(Value):
     """The LiDAR on the body that moves.
 
     Attributes:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optshape_graph._value import Value
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.cameras import ROS_MODELS
@@ -29,8 +30,8 @@ CONVERSIONS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class RawImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class RawImage(Value):
     """Pixels as the camera sent them.
 
     Attributes:
@@ -51,8 +52,8 @@ class RawImage:
         return np.asarray(cv2.cvtColor(values, getattr(cv2, CONVERSIONS[self.encoding])), dtype=np.uint8)
 
 
-@dataclass(frozen=True, eq=False)
-class CompressedImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class CompressedImage(Value):
     """An image as a file would hold it.
 
     Attributes:
