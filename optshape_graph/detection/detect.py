@@ -21,7 +21,7 @@ MIN_RINGS = 4
 """Rings on a target at least: the ends of three say no more than the size and place of anything."""
 
 
-def detect_targets(scan: Scan, targets: Sequence[Target]) -> Detections:
+def detect_targets(scan: Scan, targets: Target | Sequence[Target]) -> Detections:
     """Find targets in a full scan, and tell them apart by shape.
 
     Rings are cut where the range jumps (`segments`); segments in one plane make patches (`patches`), which grow to
@@ -30,11 +30,12 @@ def detect_targets(scan: Scan, targets: Sequence[Target]) -> Detections:
 
     Args:
         scan: a full revolution, with rings; its sensor, where known, gives azimuth step, noise and the rings there are.
-        targets: those to look for. Any number of each may be in the scan.
+        targets: those to look for, one or several. Any number of each may be in the scan.
 
     Raises:
         InputError: no targets, two of one name, or a scan without rings.
     """
+    targets = [targets] if isinstance(targets, Target) else list(targets)
     if not targets:
         raise InputError("no targets to look for")
     names = [target.name for target in targets]
@@ -43,7 +44,7 @@ def detect_targets(scan: Scan, targets: Sequence[Target]) -> Detections:
     try:
         ordered = sweep(scan)
     except EstimationError:
-        return Detections((), ())
+        return Detections((), (), scan.name)
     sizes = [Size.of(target) for target in targets]
     found: list[Detection] = []
     rejected: list[Rejection] = []
@@ -56,7 +57,7 @@ def detect_targets(scan: Scan, targets: Sequence[Target]) -> Detections:
         if detection is not None:
             taken[candidate.rows] = True
             found.append(detection)
-    return Detections(tuple(sorted(found, key=lambda one: -one.score)), tuple(rejected))
+    return Detections(tuple(sorted(found, key=lambda one: -one.score)), tuple(rejected), scan.name)
 
 
 def _candidates(ordered: Sweep, sizes: Sequence[Size], rejected: list[Rejection]) -> list[Candidate]:

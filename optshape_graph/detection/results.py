@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, frozen
-from optshape_graph._value import Value
+from optshape_graph._value import Value, shortened
+from optshape_graph.io.records import to_record
+from optshape_graph.io.results import RECORD, Result, Row, one_scan
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.target import Target
 
@@ -81,6 +85,30 @@ class Detection(Value):
         """How well it fits, 0 to 1: `Evidence.score`."""
         return self.evidence.score
 
+    def __repr__(self) -> str:
+        x, y, z = self.estimate.T_lidar_target[:3, 3]
+        said = f"at ({x:.3f}, {y:.3f}, {z:.3f}) m, score {self.score:.2f}, {len(self.indices)} returns"
+        return shortened(f"Detection({self.target.name!r} {self.status}: {said})")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the JSON form says of this target, as plain data."""
+        estimate = self.estimate
+        return {
+            "target": self.target.name,
+            "T_lidar_target": estimate.T_lidar_target.tolist(),
+            "covariance": estimate.covariance.tolist(),
+            "equivalent_poses": estimate.equivalent_poses.tolist(),
+            "return_indices": self.indices[~self.doubtful].tolist(),
+            "doubtful_indices": self.indices[self.doubtful].tolist(),
+            "score": self.score,
+            "status": self.status,
+            "reason": self.reason,
+            "rival": self.rival.name if self.rival else None,
+            "margin": self.margin if self.rival else None,
+            "probabilities": dict(self.probabilities),
+            "evidence": asdict(self.evidence),
+        }
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rejection(Value):
@@ -105,15 +133,66 @@ class Rejection(Value):
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", frozen(self.centre))
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the JSON form says of this surface, as plain data."""
+        return {
+            "reason": self.reason,
+            "target": self.target or None,
+            "centre": self.centre.tolist(),
+            "returns": self.n_returns,
+            "rings": self.n_rings,
+            "area_m2": self.area,
+        }
 
-@dataclass(frozen=True)
-class Detections:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Detections(Result):
     """What was found in one scan.
 
     Attributes:
         found: targets, the best score first; empty: none.
         rejected: surfaces of about a target's size that are none.
+        scan: name of the scan.
     """
+
+    FORM: ClassVar[str] = "detect"
 
     found: tuple[Detection, ...]
     rejected: tuple[Rejection, ...]
+    scan: str = ""
+
+    def __repr__(self) -> str:
+        named = ", ".join(f"{one.target.name} {one.status}" for one in self.found) or "none"
+        return shortened(f"Detections({len(self.found)} found: {named}; {len(self.rejected)} rejected)")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the JSON form says of this scan, as plain data."""
+        return {
+            "scan": self.scan or "scan",
+            "targets": [one.to_dict() for one in self.found],
+            "rejected": [one.to_dict() for one in self.rejected],
+        }
+
+    def rows(self) -> list[Row]:
+        """Return a row for each target found."""
+        return [
+            {**one.estimate.rows()[0], "scan": self.scan, "status": one.status, "margin": one.margin,
+             "returns": len(one.indices), "score": one.score}
+            for one in self.found
+        ]  # fmt: skip
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read detections that `save` wrote: equal to what was saved.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            InputError: another file, one of several scans, or one without a record.
+        """
+        loaded: Self = one_scan(path, cls.FORM, cls)
+        return loaded
+
+    def _document(self) -> dict[str, Any]:
+        return {"schema": f"optshape/{self.FORM}/1", "scans": [{**self.to_dict(), RECORD: to_record(self)}]}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 from optshape_graph.pose.enumerated import estimate_enumerated, refine
@@ -47,7 +48,9 @@ def estimate_pose(scan: Scan, target: Target, method: Method = "global", backend
             azimuth step to be found.
     """
     if method == "paper":
-        return estimate_as_paper(scan, target, backend)
-    if scan.ring is None:
-        return estimate_ringless(scan, target, backend)
-    return estimate_enumerated(scan, target, backend)
+        estimate = estimate_as_paper(scan, target, backend)
+    elif scan.ring is None:
+        estimate = estimate_ringless(scan, target, backend)
+    else:
+        estimate = estimate_enumerated(scan, target, backend)
+    return replace(estimate, scan=scan.name)
