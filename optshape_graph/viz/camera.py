@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.camera_calibration import CameraCalibration
-from optshape_graph.calibration.camera_evidence import without_bias
-from optshape_graph.calibration.consistency import of_view
+from optshape_graph.calibration.camera.calibrate import CameraCalibration
+from optshape_graph.calibration.camera.consistency import of_view
+from optshape_graph.calibration.camera.evidence import without_bias
+from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.projection import project
-from optshape_graph.calibration.sightings import TargetInScan
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.factors.se3 import inverse

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optshape_graph.calibration.mocap import MocapCalibration
-from optshape_graph.calibration.mocap_comparison import MocapScan, ScanError
+from optshape_graph.calibration.mocap.calibrate import MocapCalibration
+from optshape_graph.calibration.mocap.comparison import MocapScan, ScanError
 from optshape_graph.evaluation.harness import Row
 from optshape_graph.target import Target
 from optshape_graph.viz.style import (

@@ -197,7 +197,7 @@ def written(save: Callable[..., None], thing: object, suffix: str = ".yaml") -> 
 
 
 def targets(folder: Path) -> list[bytes]:
-    from tests.calibration.camera_support import BOARD
+    from tests.calibration.camera.support import BOARD
 
     return [*written(save_target, PAPER)(folder), *written(save_target, BOARD)(folder), TAGS.encode()]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from optshape_graph import InputError
-from optshape_graph.calibration.camera_export import as_document
+from optshape_graph.calibration.camera.export import as_document
 from optshape_graph.io import demo_folder, load_target, read_scan
 from optshape_graph.io.documents import write_json
 from optshape_graph.mapping import Landmark, Map, save_map

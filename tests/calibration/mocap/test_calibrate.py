@@ -10,9 +10,9 @@ from gtsam.symbol_shorthand import E, H, M, S
 from scipy.stats import chi2
 
 from optshape_graph import InputError
-from optshape_graph.calibration.mocap import calibrate_mocap, marker_factor
-from optshape_graph.calibration.mocap_comparison import MocapScan
-from optshape_graph.calibration.mocap_session import load_mocap_scans
+from optshape_graph.calibration.mocap.calibrate import calibrate_mocap, marker_factor
+from optshape_graph.calibration.mocap.comparison import MocapScan
+from optshape_graph.calibration.mocap.session import load_mocap_scans
 from optshape_graph.io import load_sensor, load_session, load_target
 from optshape_graph.pose import estimate_pose
 from optshape_graph.simulation import NoiseModel, synthetic_session

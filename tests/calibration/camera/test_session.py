@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from optshape_graph.calibration.camera_calibration import calibrate
-from optshape_graph.calibration.camera_session import read_views
+from optshape_graph.calibration.camera.calibrate import calibrate
+from optshape_graph.calibration.camera.session import read_views
 from optshape_graph.errors import InputError
 from optshape_graph.io import load_session, load_target, save_target
 from optshape_graph.target import Tags, Target
-from tests.calibration.camera_support import BOARD, T_CAMERA_LIDAR
+from tests.calibration.camera.support import BOARD, T_CAMERA_LIDAR
 from tests.calibration.session_support import SESSION_VIEWS, write_session
 from tests.shared import SHARED, needs_shared
 

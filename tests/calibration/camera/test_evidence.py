@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from optshape_graph.calibration.camera_evidence import CrossValidation, ViewErrors, view_errors, without_bias
-from optshape_graph.calibration.camera_graph import Rig, Sighting
+from optshape_graph.calibration.camera.evidence import CrossValidation, ViewErrors, view_errors, without_bias
+from optshape_graph.calibration.camera.graph import Rig, Sighting
 from optshape_graph.calibration.images.projection import project
 from optshape_graph.factors.se3 import inverse
-from tests.calibration.camera_support import (
+from tests.calibration.camera.support import (
     BOARD,
     FISHEYE,
     T_CAMERA_LIDAR,

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from optshape_graph.calibration.crops import planar_returns
+from optshape_graph.calibration.camera.crops import planar_returns
 from optshape_graph.errors import EstimationError
 from optshape_graph.scan import Scan
 

@@ -11,7 +11,7 @@ from gtsam.symbol_shorthand import B, K, L, O, P, S, W
 
 from optshape_graph._arrays import Floats
 from optshape_graph._value import Value
-from optshape_graph.calibration.camera_factors import (
+from optshape_graph.calibration.camera.factors import (
     INTRINSICS_SIGMA,
     OFFSET_SIGMA_M,
     PRINT_SIGMA_M,
@@ -19,8 +19,8 @@ from optshape_graph.calibration.camera_factors import (
     as_vector,
     coupling_factor,
 )
-from optshape_graph.calibration.sightings import TargetInImage, TargetInScan
-from optshape_graph.calibration.uncertainty import Uncertainty, uncertainty_of
+from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan
+from optshape_graph.calibration.camera.uncertainty import Uncertainty, uncertainty_of
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.factors import TemplateFactor
 from optshape_graph.factors.se3 import adjoint, inverse

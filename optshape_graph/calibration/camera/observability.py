@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.uncertainty import Uncertainty
+from optshape_graph.calibration.camera.uncertainty import Uncertainty
 from optshape_graph.errors import UnobservableError
 from optshape_graph.factors.se3 import adjoint
 

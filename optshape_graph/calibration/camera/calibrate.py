@@ -11,17 +11,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph._value import Value
-from optshape_graph.calibration.camera_evidence import CrossValidation, ViewErrors, view_errors
-from optshape_graph.calibration.camera_graph import CalibrationGraph, Discrepancy, Rig, Sighting, Unknowns
-from optshape_graph.calibration.camera_noise import with_estimated_pixel_noise
-from optshape_graph.calibration.camera_observability import (
-    Direction,
-    check_observable,
-    parallel_planes,
-    principal_directions,
-)
-from optshape_graph.calibration.camera_start import Start, find_start
-from optshape_graph.calibration.consistency import (
+from optshape_graph.calibration.camera.consistency import (
     LIMIT,
     describe,
     estimate_discrepancy,
@@ -29,11 +19,21 @@ from optshape_graph.calibration.consistency import (
     scatter,
     squared_distances,
 )
+from optshape_graph.calibration.camera.evidence import CrossValidation, ViewErrors, view_errors
+from optshape_graph.calibration.camera.graph import CalibrationGraph, Discrepancy, Rig, Sighting, Unknowns
+from optshape_graph.calibration.camera.lens import LensCheck, check_lenses
+from optshape_graph.calibration.camera.next_placement import NextPlacement, suggest_placement
+from optshape_graph.calibration.camera.noise import with_estimated_pixel_noise
+from optshape_graph.calibration.camera.observability import (
+    Direction,
+    check_observable,
+    parallel_planes,
+    principal_directions,
+)
+from optshape_graph.calibration.camera.sightings import TargetInScan, View
+from optshape_graph.calibration.camera.start import Start, find_start
+from optshape_graph.calibration.camera.uncertainty import Uncertainty
 from optshape_graph.calibration.free_shape import MeasuredShape, measure_shape
-from optshape_graph.calibration.lens import LensCheck, check_lenses
-from optshape_graph.calibration.next_placement import NextPlacement, suggest_placement
-from optshape_graph.calibration.sightings import TargetInScan, View
-from optshape_graph.calibration.uncertainty import Uncertainty
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.target import Target

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optshape_graph import InputError, Target
-from optshape_graph.calibration.mocap_comparison import (
+from optshape_graph.calibration.mocap.comparison import (
     MocapScan,
     align,
     assign_markers,

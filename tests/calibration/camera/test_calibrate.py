@@ -4,16 +4,16 @@ import gtsam
 import numpy as np
 import pytest
 
-from optshape_graph.calibration.camera_calibration import calibrate
-from optshape_graph.calibration.camera_export import as_document
-from optshape_graph.calibration.camera_graph import Unknowns
+from optshape_graph.calibration.camera.calibrate import calibrate
+from optshape_graph.calibration.camera.export import as_document
+from optshape_graph.calibration.camera.graph import Unknowns
+from optshape_graph.calibration.camera.sightings import View
 from optshape_graph.calibration.images.planar_pose import planar_poses
-from optshape_graph.calibration.sightings import View
 from optshape_graph.errors import EstimationError, UnobservableError
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.documents import write_json
 from optshape_graph.target import Target
-from tests.calibration.camera_support import (
+from tests.calibration.camera.support import (
     BOARD,
     FISHEYE,
     PINHOLE,

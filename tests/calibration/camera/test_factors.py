@@ -3,13 +3,13 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import B, K, L, P, S, W
 
-from optshape_graph.calibration.camera_factors import CompiledCamera, coupling_factor
+from optshape_graph.calibration.camera.factors import CompiledCamera, coupling_factor
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.projection import project
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.factors.se3 import inverse
-from tests.calibration.camera_support import (
+from tests.calibration.camera.support import (
     BOARD,
     FISHEYE,
     PINHOLE,

@@ -26,9 +26,9 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph._value import Value
+from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.projection import normalised, projection_derivative
-from optshape_graph.calibration.sightings import TargetInScan
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.factors import CheckedFactor

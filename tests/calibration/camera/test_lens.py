@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from optshape_graph.calibration.camera_calibration import calibrate
-from optshape_graph.calibration.camera_graph import Unknowns
+from optshape_graph.calibration.camera.calibrate import calibrate
+from optshape_graph.calibration.camera.graph import Unknowns
+from optshape_graph.calibration.camera.lens import FEWEST_IMAGES, check_lenses
 from optshape_graph.calibration.images.planar_pose import planar_poses
-from optshape_graph.calibration.lens import FEWEST_IMAGES, check_lenses
 from optshape_graph.camera import CameraIntrinsics
-from tests.calibration.camera_support import FISHEYE, PINHOLE, synthetic_views
+from tests.calibration.camera.support import FISHEYE, PINHOLE, synthetic_views
 
 BENT = replace(FISHEYE, D=FISHEYE.D + np.array([0.12, -0.1, 0.0, 0.0]))
 

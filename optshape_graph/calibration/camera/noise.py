@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from optshape_graph.calibration.camera.sightings import TargetInImage, View
 from optshape_graph.calibration.images.projection import project
-from optshape_graph.calibration.sightings import TargetInImage, View
 
 PRIOR_RESIDUALS = 20.0
 """Residuals' worth of trust in the noise that the pixels are stated with."""

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.camera_calibration import CameraCalibration, ViewResult
+from optshape_graph.calibration.camera.calibrate import CameraCalibration, ViewResult
 from optshape_graph.calibration.free_shape import MeasuredShape
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError

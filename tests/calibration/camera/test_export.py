@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from optshape_graph.calibration.camera_calibration import calibrate
-from optshape_graph.calibration.camera_export import as_document, kalibr_camchain, static_transforms
+from optshape_graph.calibration.camera.calibrate import calibrate
+from optshape_graph.calibration.camera.export import as_document, kalibr_camchain, static_transforms
 from optshape_graph.errors import InputError
 from optshape_graph.io import load_camera
 from optshape_graph.io.documents import write_json, write_yaml
-from tests.calibration.camera_support import FISHEYE, PINHOLE, synthetic_views, transform
+from tests.calibration.camera.support import FISHEYE, PINHOLE, synthetic_views, transform
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@
 import gtsam
 import numpy as np
 
-from optshape_graph.calibration.camera_calibration import calibrate
-from tests.calibration.camera_support import T_CAMERA_LIDAR, synthetic_views
+from optshape_graph.calibration.camera.calibrate import calibrate
+from tests.calibration.camera.support import T_CAMERA_LIDAR, synthetic_views
 
 SESSIONS, VIEWS = 50, 5
 

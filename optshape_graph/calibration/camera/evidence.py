@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.camera_graph import Rig, Sighting
-from optshape_graph.calibration.consistency import pose_alone
+from optshape_graph.calibration.camera.consistency import pose_alone
+from optshape_graph.calibration.camera.graph import Rig, Sighting
+from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.projection import project
-from optshape_graph.calibration.sightings import TargetInScan
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.target import Target
 

@@ -12,9 +12,9 @@ import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.crops import planar_returns
+from optshape_graph.calibration.camera.crops import planar_returns
+from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan, View
 from optshape_graph.calibration.images.reading import ImageTask, find_targets
-from optshape_graph.calibration.sightings import TargetInImage, TargetInScan, View
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors.se3 import adjoint, vec_derivative

@@ -9,9 +9,9 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph._value import Value
-from optshape_graph.calibration.camera_graph import Rig, Sighting
-from optshape_graph.calibration.consensus import CUT, Consensus, distances, relative_pose
-from optshape_graph.calibration.sightings import Candidate, TargetInImage, TargetInScan, View, candidates
+from optshape_graph.calibration.camera.consensus import CUT, Consensus, distances, relative_pose
+from optshape_graph.calibration.camera.graph import Rig, Sighting
+from optshape_graph.calibration.camera.sightings import Candidate, TargetInImage, TargetInScan, View, candidates
 from optshape_graph.errors import EstimationError, UnobservableError
 from optshape_graph.factors.se3 import inverse
 

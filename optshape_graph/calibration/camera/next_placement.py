@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from optshape_graph._arrays import Floats
 from optshape_graph._value import Value
-from optshape_graph.calibration.camera_graph import Sighting
-from optshape_graph.calibration.camera_observability import principal_directions
+from optshape_graph.calibration.camera.graph import Sighting
+from optshape_graph.calibration.camera.observability import principal_directions
+from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import pose_at
 from optshape_graph.calibration.images.projection import normalised, project
-from optshape_graph.calibration.sightings import TargetInImage, TargetInScan
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.target import Target

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.mocap_comparison import MIN_MARKERS, MocapScan, assign_markers
+from optshape_graph.calibration.mocap.comparison import MIN_MARKERS, MocapScan, assign_markers
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.sessions import Mocap, Session
