@@ -10,7 +10,7 @@ import click
 from optshape_graph.cli.plots import Pictures, names_of, plot_option
 
 if TYPE_CHECKING:
-    from optshape_graph.detection import Detection, Rejection
+    from optshape_graph.detection import Detection
 
 
 @click.command()
@@ -57,9 +57,7 @@ def command(
                 rows.append([path.name, "failed", *[""] * 7])
                 entries.append({"scan": str(path), "targets": [], "rejected": [], "error": str(error)})
                 continue
-            found = [_target(one) for one in detections.found]
-            rejected = [_rejected(one) for one in detections.rejected]
-            entries.append({"scan": str(path), "targets": found, "rejected": rejected})
+            entries.append(detections.to_dict())
             rows += [_row(path, one) for one in detections.found]
             if pictures:
                 from optshape_graph.viz.pose import plot_fit
@@ -68,8 +66,8 @@ def command(
                 pictures.save(name, plot_detections(scan, detections))
                 for k, one in enumerate(detections.found):
                     pictures.save(f"{name}_{k}_{one.target.name}", plot_fit(scan, one.estimate))
-            if not found:
-                rows.append([path.name, "none", *[""] * 6, f"{len(rejected)} rejected"])
+            if not detections.found:
+                rows.append([path.name, "none", *[""] * 6, f"{len(detections.rejected)} rejected"])
             reasons += [f"{path}: {one.status}: {one.reason}" for one in detections.found if one.reason]
     if len(unusable) == len(scans):
         raise unusable[0]
@@ -86,36 +84,6 @@ def command(
     for reason in reasons:
         click.echo(f"optshape: {reason}", err=True)
     return 3 if reasons else 0
-
-
-def _target(detection: Detection) -> dict[str, Any]:
-    estimate = detection.estimate
-    return {
-        "target": detection.target.name,
-        "T_lidar_target": estimate.T_lidar_target,
-        "covariance": estimate.covariance,
-        "equivalent_poses": estimate.equivalent_poses,
-        "return_indices": detection.indices[~detection.doubtful],
-        "doubtful_indices": detection.indices[detection.doubtful],
-        "score": detection.score,
-        "status": detection.status,
-        "reason": detection.reason,
-        "rival": detection.rival.name if detection.rival else None,
-        "margin": detection.margin if detection.rival else None,
-        "probabilities": dict(detection.probabilities),
-        "evidence": vars(detection.evidence),
-    }
-
-
-def _rejected(rejection: Rejection) -> dict[str, Any]:
-    return {
-        "reason": rejection.reason,
-        "target": rejection.target or None,
-        "centre": rejection.centre,
-        "returns": rejection.n_returns,
-        "rings": rejection.n_rings,
-        "area_m2": rejection.area,
-    }
 
 
 def _row(path: Path, detection: Detection) -> list[str]:

@@ -32,6 +32,7 @@ PURPOSES = {
     "mocap": "C3D files of motion capture",
     "mesh": "meshes in simulated scenes, and the Open3D viewer",
     "evaluate": "accuracy sweeps and tables (optshape evaluate)",
+    "dataframe": "results as pandas data frames (to_dataframe)",
     "dask": "sweeps on several machines (--dask)",
     "view": "the Rerun viewer (optshape view)",
     "notebooks": "the notebooks, in Jupyter",

@@ -43,6 +43,7 @@ def command(
     from optshape_graph.io import load_sensor, load_target, read_scan
     from optshape_graph.io.documents import write_json
     from optshape_graph.pose import estimate_pose
+    from optshape_graph.pose.estimate import failed_entry
 
     template = load_target(target)
     model = load_sensor(sensor) if sensor else None
@@ -60,11 +61,11 @@ def command(
             except (InputError, EstimationError) as error:
                 if isinstance(error, InputError):
                     unreadable.append(error)
-                entries.append(_failed(path, template.name, str(error)))
+                entries.append(failed_entry(str(path), template.name, str(error)))
                 rows.append([path.name, "failed", *[""] * 8])
                 reasons.append(f"{path}: {error}" if isinstance(error, EstimationError) else str(error))
                 continue
-            entries.append(_entry(path, estimate))
+            entries.append(estimate.to_dict())
             rows.append(_row(path, estimate))
             if pictures:
                 from optshape_graph.viz.pose import plot_estimate
@@ -91,46 +92,9 @@ def command(
     return 0 if all(entry["status"] == "ok" for entry in entries) else 3
 
 
-def _failed(path: Path, target: str, reason: str) -> dict[str, Any]:
-    empty = dict.fromkeys(
-        ["T_lidar_target", "covariance", "vertices", "certificate", "ambiguity", "equivalent_poses", "inset_rad",
-         "labels", "edge_points", "n_returns"]
-    )  # fmt: skip
-    return {"scan": str(path), "target": target, "status": "failed", "reason": reason, **empty}
-
-
-def _entry(path: Path, estimate: PoseEstimate) -> dict[str, Any]:
-    usable = estimate.status != "failed"
-    rival = estimate.ambiguity.T_lidar_target
-    return {
-        "scan": str(path),
-        "target": estimate.target.name,
-        "status": estimate.status,
-        "reason": estimate.reason,
-        "T_lidar_target": estimate.T_lidar_target.tolist() if usable else None,
-        "covariance": estimate.covariance.tolist() if usable else None,
-        "vertices": estimate.vertices.tolist() if usable else None,
-        "certificate": {
-            "certified": estimate.certificate.certified,
-            "gap_m2": estimate.certificate.gap_m2,
-            "second_eigenvalue": estimate.certificate.second_eigenvalue,
-        },
-        "ambiguity": {
-            "margin": estimate.ambiguity.margin if rival is not None else None,
-            "T_lidar_target": rival.tolist() if rival is not None else None,
-        },
-        "equivalent_poses": estimate.equivalent_poses.tolist() if usable else None,
-        "inset_rad": estimate.inset_rad if len(estimate.labels) else None,
-        "labels": estimate.labels.tolist(),
-        "edge_points": estimate.edge_points.points.tolist(),
-        "n_returns": estimate.n_returns,
-    }
-
-
 def _row(path: Path, estimate: PoseEstimate) -> list[str]:
     import numpy as np
 
-    sd = np.sqrt(np.diag(estimate.covariance))
     t = estimate.T_lidar_target[:3, 3]
     margin = "" if estimate.ambiguity.T_lidar_target is None else f"{min(estimate.ambiguity.margin, 999):.0f}"
     usable = estimate.status != "failed"
@@ -138,8 +102,8 @@ def _row(path: Path, estimate: PoseEstimate) -> list[str]:
         path.name,
         estimate.status,
         *(f"{value:.3f}" if usable else "" for value in t),
-        f"{1e3 * sd[3:].max():.1f}",
-        f"{np.degrees(sd[:3].max()):.2f}",
+        f"{1e3 * estimate.sigma_m:.1f}",
+        f"{np.degrees(estimate.sigma_rad):.2f}",
         "yes" if estimate.certificate.certified else "no",
         margin,
         str(estimate.n_returns),

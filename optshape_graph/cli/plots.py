@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.names import file_name
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -41,7 +43,7 @@ class Pictures:
 
     def save(self, name: str, figure: Figure) -> None:
         """Write a figure as NAME.png, whatever characters the name has."""
-        from optshape_graph.viz.style import file_name, save_figure
+        from optshape_graph.viz.style import save_figure
 
         self.paths.append(save_figure(figure, self.folder / f"{file_name(name)}.png"))
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, frozen
 from optshape_graph._value import Value, shortened
+from optshape_graph.factors import TemplateMeasurement
 from optshape_graph.io.records import to_record
 from optshape_graph.io.results import RECORD, Result, Row, one_scan
 from optshape_graph.pose import PoseEstimate
@@ -84,6 +85,11 @@ class Detection(Value):
     def score(self) -> float:
         """How well it fits, 0 to 1: `Evidence.score`."""
         return self.evidence.score
+
+    @property
+    def measurement(self) -> TemplateMeasurement:
+        """The estimate's, of T_target_lidar: what factors are made of."""
+        return self.estimate.measurement
 
     def __repr__(self) -> str:
         x, y, z = self.estimate.T_lidar_target[:3, 3]

@@ -37,7 +37,7 @@ from optshape_graph.factors.augmented import (
     plane_motion_rows,
     range_directions,
 )
-from optshape_graph.factors.measurement import TemplateMeasurement, edge_rows, plane_rows, template_rows
+from optshape_graph.factors.measurement import Measured, TemplateMeasurement, edge_rows, plane_rows, template_rows
 from optshape_graph.factors.points import PointToEdgeFactor, PointToPlaneFactor
 from optshape_graph.factors.se3 import inverse_covariance
 from optshape_graph.factors.shape import (
@@ -58,6 +58,7 @@ __all__ = [
     "CheckedFactor",
     "FreeVertexFactor",
     "LandmarkFactor",
+    "Measured",
     "PointToEdgeFactor",
     "PointToPlaneFactor",
     "SensorParameterFactor",

@@ -13,6 +13,7 @@ so all whitened rows of a scan stack into [A | r], whose triangular factor [L b;
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -232,6 +233,33 @@ class TemplateMeasurement(Value):
     def quadratic(self) -> Floats:
         """Return the matrix Q (13, 13) with error = 1/2 [z; 1]^T Q [z; 1]."""
         return self.stack.T @ self.stack
+
+
+class Measured(Protocol):
+    """What was made of a measurement, and carries it: an estimate, a detection."""
+
+    @property
+    def measurement(self) -> TemplateMeasurement:
+        """Of T_target_lidar."""
+
+
+def measurement_of(measured: TemplateMeasurement | Measured) -> TemplateMeasurement:
+    """Return the measurement that a factor is to be made of.
+
+    Args:
+        measured: the measurement, or an estimate that carries it.
+
+    Raises:
+        InputError: neither, or an estimate that failed.
+    """
+    if isinstance(measured, TemplateMeasurement):
+        return measured
+    found = getattr(measured, "measurement", None)
+    if not isinstance(found, TemplateMeasurement):
+        raise InputError(f"expected an estimate or a TemplateMeasurement, found a {type(measured).__name__}")
+    if getattr(measured, "status", "") == "failed":
+        raise InputError(f"no factor can be made of a failed estimate: {getattr(measured, 'reason', '')}")
+    return found
 
 
 def substitution(T_target_a: ArrayLike, T_b_lidar: ArrayLike | None = None) -> Floats:

@@ -21,7 +21,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph._value import Value
 from optshape_graph.factors._noise import gaussian
 from optshape_graph.factors._rows import factored
-from optshape_graph.factors.measurement import TemplateMeasurement
+from optshape_graph.factors.measurement import Measured, TemplateMeasurement, measurement_of
 from optshape_graph.factors.se3 import adjoint, inverse, vec, vec_derivative
 
 RANK_TOLERANCE = 1e-9
@@ -141,7 +141,7 @@ def summarise(measurements: Sequence[TemplateMeasurement], T_target_lidar: Array
 
 
 def SummaryFactor(
-    measurement: TemplateMeasurement,
+    measurement: TemplateMeasurement | Measured,
     k_target: int,
     k_lidar: int,
     T_target_lidar: ArrayLike | None = None,
@@ -150,17 +150,20 @@ def SummaryFactor(
     """Return the compiled, serialisable factor between T_world_target and T_world_lidar.
 
     Args:
-        measurement: of T_target_lidar = T_world_target^-1 T_world_lidar.
+        measurement: of T_target_lidar = T_world_target^-1 T_world_lidar, or an estimate.
         k_target: key of T_world_target.
         k_lidar: key of T_world_lidar.
         T_target_lidar: (4, 4) pose to summarise at; None: where the measurement was taken.
         loss: robust loss on the distance from the measured pose (6 degrees of freedom); None: least squares.
+
+    Raises:
+        InputError: neither a measurement nor an estimate, or an estimate that failed.
     """
     return _summary(measurement, T_target_lidar).factor(k_target, k_lidar, loss)
 
 
 def LandmarkFactor(
-    measurement: TemplateMeasurement,
+    measurement: TemplateMeasurement | Measured,
     k_target: int,
     T_world_lidar: ArrayLike,
     T_target_lidar: ArrayLike | None = None,
@@ -169,18 +172,21 @@ def LandmarkFactor(
     """Return the compiled, serialisable factor on T_world_target alone, the LiDAR pose being known.
 
     Args:
-        measurement: of T_target_lidar.
+        measurement: of T_target_lidar, or an estimate.
         k_target: key of T_world_target.
         T_world_lidar: (4, 4) known LiDAR pose.
         T_target_lidar: (4, 4) pose to summarise at; None: where the measurement was taken.
         loss: robust loss on the distance from the measured pose; None: least squares.
+
+    Raises:
+        InputError: neither a measurement nor an estimate, or an estimate that failed.
     """
     return _summary(measurement, T_target_lidar).landmark_factor(k_target, T_world_lidar, loss)
 
 
-def _summary(measurement: TemplateMeasurement, T_target_lidar: ArrayLike | None) -> Summary:
+def _summary(measurement: TemplateMeasurement | Measured, T_target_lidar: ArrayLike | None) -> Summary:
     at = None if T_target_lidar is None else np.asarray(T_target_lidar, float)[None]
-    return summarise([measurement], at)[0]
+    return summarise([measurement_of(measurement)], at)[0]
 
 
 def _gauss_newton(L: Floats, b: Floats, H: Floats) -> tuple[Floats, Floats, Floats]:

@@ -40,7 +40,7 @@ def to_record(value: Any) -> Any:
         plain = value.tolist()
         return {"shape": list(value.shape)} if not value.size else plain if _finite(value) else to_record(plain)
     if is_dataclass(value) or _is_named_tuple(value):
-        names = _names(type(value))
+        names = _names(value.__class__)
         return {_CLASS: type(value).__name__, **{name: to_record(getattr(value, name)) for name in names}}
     if isinstance(value, Mapping):
         return [[to_record(key), to_record(item)] for key, item in value.items()]
