@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "optshape_graph"
 
 LAYERS = [
     "cli", "viz", "evaluation", "calibration", "mapping", "simulation", "design", "graph", "detection", "pose",
-    "factors", "io",
+    "factors", "runs", "io",
 ]  # fmt: skip
 """From the top; below them are the nouns."""
 
