@@ -1,9 +1,10 @@
-"""Read-only arrays for frozen dataclasses."""
+"""Read-only arrays, and frozen dataclasses that hold them: equal by value, printed in a line, frozen when copied."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Hashable, Mapping
+from dataclasses import fields, is_dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+
+LONGEST_REPR = 200
+"""Characters of a `repr`."""
 
 
 def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
@@ -44,3 +48,60 @@ def alike(a: Any, b: Any) -> bool:
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(alike(value, b[key]) for key, value in a.items())
     return bool(a == b or (a != a and b != b))
+
+
+class Value:
+    """Base of frozen dataclasses, which are declared with `eq=False, repr=False`: what they do alike is here."""
+
+    if TYPE_CHECKING:
+        __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def __eq__(self, other: object) -> bool:
+        if other.__class__ is not self.__class__:
+            return NotImplemented
+        names = [field.name for field in fields(self) if field.compare]
+        return all(alike(getattr(self, name), getattr(other, name)) for name in names)
+
+    def __hash__(self) -> int:
+        return hash((type(self), *(_key(getattr(self, field.name)) for field in fields(self) if field.compare)))
+
+    def __repr__(self) -> str:
+        parts = [f"{field.name}={brief(getattr(self, field.name))}" for field in fields(self) if field.repr]
+        return shortened(f"{type(self).__name__}({', '.join(parts)})")
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take what a pickle or a copy brings, arrays read-only."""
+        refreeze(state)
+        self.__dict__.update(state)
+
+
+def brief(value: Any) -> str:
+    """Return a value in a few characters: arrays by their shape, or their numbers where there are few."""
+    if isinstance(value, np.ndarray):
+        if value.ndim == 1 and value.size <= 3:
+            return "(" + ", ".join(f"{number:g}" for number in value) + ")"
+        return "x".join(map(str, value.shape)) + f" {value.dtype.name}"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, Value) or is_dataclass(value):
+        return f"{type(value).__name__}({getattr(value, 'name', '...')})"
+    if isinstance(value, tuple | list | dict | frozenset) and len(value) > 3:
+        return f"{len(value)} items"
+    return repr(value) if not isinstance(value, str) or len(value) <= 40 else repr(value[:37] + "...")
+
+
+def shortened(text: str) -> str:
+    """Return the text of a `repr`, of one line and not longer than one may be."""
+    line = " ".join(text.split())
+    return line if len(line) <= LONGEST_REPR else line[: LONGEST_REPR - 4] + "...)"
+
+
+def _key(value: Any) -> Hashable:
+    """What hashes alike for equal values: -0.0 equals 0.0, NaN itself, and a dictionary has no order."""
+    if isinstance(value, np.ndarray):
+        return value.shape, (value + 0).tobytes()
+    if isinstance(value, Mapping):
+        return frozenset((key, _key(item)) for key, item in value.items())
+    if isinstance(value, tuple | list):
+        return tuple(map(_key, value))
+    return value if value == value else "nan"

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 
 DISTORTION_LENGTHS = {"pinhole": (0, 4, 5, 8), "equidistant": (4,)}

@@ -12,8 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints, frozen
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import EstimationError
 from optshape_graph.scan import Scan
 

@@ -19,7 +19,7 @@ from optshape_graph import (
     load_target,
     read_scan,
 )
-from optshape_graph._value import LONGEST_REPR
+from optshape_graph._arrays import LONGEST_REPR
 from optshape_graph.evaluation import SimulationSweep, Table, run_simulation
 from optshape_graph.io import demo_folder
 from optshape_graph.io.results import Result

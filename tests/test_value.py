@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from optshape_graph import Scan, estimate_pose, load_sensor, load_target, read_scan
-from optshape_graph._value import LONGEST_REPR
+from optshape_graph._arrays import LONGEST_REPR
 from optshape_graph.io import demo_folder
 
 

@@ -15,12 +15,10 @@ import gtsam
 import numpy as np
 from scipy.stats import chi2
 
-from optshape_graph._arrays import Floats, Ints, frozen
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.edges import extract_edge_points, with_top_and_bottom
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import template_rows
-from optshape_graph.factors.se3 import vec, vec_derivative
 from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.pose import estimate_pose
 from optshape_graph.pose.angles import level_rings
@@ -29,6 +27,7 @@ from optshape_graph.pose.intervals import mixture_moments
 from optshape_graph.pose.noise import LOST_RETURNS, LOST_SPAN, EdgeNoise, returns_on_plane
 from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry, own_variance
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import apply, vec, vec_derivative
 from optshape_graph.target import Target
 
 FREE_SIGMA_M = 0.05
@@ -278,7 +277,7 @@ def _by_vertex(problem: Problem, T: Floats, labels: Ints) -> Floats:
     polygon, edges = problem.target.polygon, problem.edges
     n, rows = len(polygon), np.arange(len(edges))
     boundary = edges.points + edges.middle[:, None] * edges.outward(T[0, :3])
-    yz = (boundary @ T[:3, :3].T + T[:3, 3])[:, 1:]
+    yz = apply(T, boundary)[:, 1:]
     first, side = polygon[labels], polygon[(labels + 1) % n] - polygon[labels]
     share = (((yz - first) * side).sum(axis=1) / (side**2).sum(axis=1)).clip(0.0, 1.0)[:, None]
     J = np.zeros((len(edges), n, 2))

@@ -88,8 +88,7 @@ def _print(calibration: CameraCalibration) -> None:
 
     from optshape_graph.calibration.camera.export import static_transforms
     from optshape_graph.cli.console import print_table
-    from optshape_graph.factors import inverse_covariance
-    from optshape_graph.factors.se3 import inverse
+    from optshape_graph.se3 import inverse, inverse_covariance
 
     rows = []
     for result in calibration.views:

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
-from optshape_graph._value import Value
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.errors import InputError
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target

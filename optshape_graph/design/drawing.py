@@ -11,8 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.design.polygons import centroids
 from optshape_graph.target import Target
 

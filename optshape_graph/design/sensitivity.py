@@ -16,8 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.design.polygons import strictly_convex
 from optshape_graph.design.rings import Rings
 

@@ -9,8 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints, frozen
-from optshape_graph._value import Value, shortened
+from optshape_graph._arrays import Bools, Floats, Ints, Value, frozen, shortened
 from optshape_graph.factors import TemplateMeasurement
 from optshape_graph.io.records import to_record
 from optshape_graph.io.results import RECORD, Result, Row, one_scan

@@ -11,8 +11,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 import optshape_graph
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.design.bound import covariance_bound
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.evaluation.harness import Progress, Row, run_tasks

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from optshape_graph._value import shortened
+from optshape_graph._arrays import shortened
 from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.evaluation.harness import Row
 from optshape_graph.evaluation.published import TABLE_1, PublishedRow

@@ -39,7 +39,7 @@ from optshape_graph.factors.augmented import (
 )
 from optshape_graph.factors.measurement import Measured, TemplateMeasurement, edge_rows, plane_rows, template_rows
 from optshape_graph.factors.points import PointToEdgeFactor, PointToPlaneFactor
-from optshape_graph.factors.se3 import inverse_covariance
+from optshape_graph.se3 import inverse_covariance
 from optshape_graph.factors.shape import (
     FreeVertexFactor,
     ShapeFactor,

@@ -23,12 +23,11 @@ from operator import add
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, frozen
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, triangular
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import inverse
 
 
 def ring_bias_columns(

@@ -10,7 +10,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.factors._callback import CheckedFactor, relative_pose
 from optshape_graph.factors._noise import gaussian
 from optshape_graph.factors.measurement import Measured, TemplateMeasurement, measurement_of
-from optshape_graph.factors.se3 import vec, vec_derivative
+from optshape_graph.se3 import PoseLike, vec, vec_derivative
 
 # Where z and the constant 1 sit in vec of the 4 x 4 matrix, column-major.
 _Z = np.array([0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14])
@@ -20,8 +20,8 @@ _ONE = 15
 def TemplateFactor(
     measurement: TemplateMeasurement | Measured,
     key: int,
-    T_target_a: ArrayLike | None = None,
-    T_b_lidar: ArrayLike | None = None,
+    T_target_a: PoseLike | None = None,
+    T_b_lidar: PoseLike | None = None,
 ) -> gtsam.FrobeniusPriorPose3:
     """Return the exact point-to-line factor of a measurement, compiled: no callback, whatever the number of points.
 

@@ -17,8 +17,7 @@ import scipy.linalg
 import scipy.sparse as sparse
 from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError
 
 LOOSEST = 1e3

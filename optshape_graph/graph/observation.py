@@ -7,11 +7,10 @@ from typing import Protocol
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors import TemplateMeasurement
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optshape_graph._value import Value
+from optshape_graph._arrays import Value
 from optshape_graph.errors import InputError
 
 

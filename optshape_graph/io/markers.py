@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.io.files import read_text
 from optshape_graph.target import LARGEST_EXTENT_M

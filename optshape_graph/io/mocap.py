@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.io._isolated import read_isolated
 from optshape_graph.io.files import read_bytes

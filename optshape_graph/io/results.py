@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from optshape_graph._value import Value
+from optshape_graph._arrays import Value
 from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io.documents import read_document, write_json
 from optshape_graph.io.records import from_record, to_record

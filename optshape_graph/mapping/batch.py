@@ -14,18 +14,17 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import SummaryFactor
 from optshape_graph.factors._noise import gaussian
-from optshape_graph.factors.se3 import adjoint, inverse, vec, vec_derivative
 from optshape_graph.mapping.batch_solution import BatchSolution, Residual, pose_graph
 from optshape_graph.mapping.biases import Biases
 from optshape_graph.mapping.landmark_graph import LOSS
 from optshape_graph.mapping.priors import joint_prior, sqrt_information
 from optshape_graph.mapping.shapes import Shapes
 from optshape_graph.mapping.track import Keys, MappingProblem
+from optshape_graph.se3 import adjoint, inverse, vec, vec_derivative
 
 __all__ = ["BatchSolution", "Residual", "factor_graph", "pose_graph", "solve_batch"]
 

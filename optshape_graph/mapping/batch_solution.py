@@ -10,8 +10,7 @@ from functools import cached_property
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors import summarise
 from optshape_graph.io.trajectories import PoseGraph, PoseGraphEdge, Trajectory

@@ -18,12 +18,11 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
-from optshape_graph._value import Value
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.factors import BiasedMeasurement
 from optshape_graph.factors._rows import factored, triangular
-from optshape_graph.factors.se3 import vec, vec_derivative
 from optshape_graph.mapping.track import MappingProblem
+from optshape_graph.se3 import vec, vec_derivative
 
 BLOCK = 256
 """Matches that are linearised at a time: more would only take memory."""

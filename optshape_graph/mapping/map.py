@@ -14,15 +14,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
-from optshape_graph._value import Value, shortened
+from optshape_graph._arrays import Floats, Value, frozen, shortened
 from optshape_graph.errors import InputError
 from optshape_graph.io.documents import Node, read_document
 from optshape_graph.io.results import Result, Row
 from optshape_graph.io.trajectories import Trajectory
+from optshape_graph.se3 import apply, as_transform
 from optshape_graph.target import Target
-
-_UNIT = np.eye(3)
 
 SCHEMA = "optshape/map/1"
 
@@ -49,13 +47,13 @@ class Landmark(Value):
     observations: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "T_world_target", rigid(self.T_world_target, f"landmark '{self.id}'"))
+        object.__setattr__(self, "T_world_target", as_transform(self.T_world_target, f"landmark '{self.id}'"))
         object.__setattr__(self, "covariance", _covariance(self.covariance, 6, f"landmark '{self.id}'"))
 
     @property
     def vertices(self) -> Floats:
         """(n, 3) vertices, world frame, metres."""
-        return np.asarray(self.target.vertices @ self.T_world_target[:3, :3].T + self.T_world_target[:3, 3])
+        return apply(self.T_world_target, self.target.vertices)
 
     @property
     def position(self) -> tuple[float, float, float]:
@@ -205,23 +203,6 @@ def load_map(path: str | Path) -> Map:
         root.fail(str(error))
 
 
-def rigid(T: Floats, what: str) -> Floats:
-    """Return a (4, 4) rigid transform, read-only.
-
-    Raises:
-        InputError: it is none.
-    """
-    pose = frozen(T)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        raise InputError(f"{what}: expected a finite pose as 4 x 4, found shape {pose.shape}")
-    R = pose[:3, :3]
-    x, y, z = R.T.tolist()
-    handed = sum(x[i] * (y[i - 2] * z[i - 1] - y[i - 1] * z[i - 2]) for i in range(3))
-    if np.abs(R.T @ R - _UNIT).max() > 1e-6 or handed < 0 or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        raise InputError(f"{what}: its pose is not a rigid transform: {pose.tolist()}")
-    return pose
-
-
 def _covariance(covariance: Floats, size: int, what: str) -> Floats:
     C = frozen(covariance)
     if C.shape != (size, size) or not np.isfinite(C).all():
@@ -262,5 +243,5 @@ def _trajectories(node: Node, only: str) -> dict[str, Trajectory]:
         fields = entry.fields(["stamp", "T_world_lidar"], ["session"])
         name = fields["session"].text() if "session" in fields else only
         stamps.setdefault(name, []).append(fields["stamp"].number())
-        poses.setdefault(name, []).append(rigid(fields["T_world_lidar"].numbers(4, 4), entry.where))
+        poses.setdefault(name, []).append(as_transform(fields["T_world_lidar"].numbers(4, 4), entry.where))
     return {name: Trajectory(np.array(poses[name]), np.array(stamps[name]), name or "trajectory") for name in poses}

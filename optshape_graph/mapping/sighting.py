@@ -7,12 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import InputError
 from optshape_graph.factors import BiasedMeasurement, ShapeMeasurement, Summary, TemplateMeasurement, summarise
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.pose import PoseEstimate
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
 LOOSEST = 10.0
@@ -125,12 +124,7 @@ class Sighting(Value):
 
     @property
     def _turns(self) -> list[Floats | None]:
-        turns: list[Floats | None] = [None]
-        for S in self.target.symmetry_rotations[1:]:
-            turn = np.eye(4)
-            turn[:3, :3] = S
-            turns.append(turn)
-        return turns
+        return [None, *self.target.symmetry_transforms[1:]]
 
     def T_lidar_target(self) -> Floats:
         """Return the likeliest pose (4, 4)."""

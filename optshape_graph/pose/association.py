@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
-from optshape_graph._value import Value
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
 from optshape_graph.pose.labelling import MAX_LABELLINGS, count_labellings, enumerate_labellings

@@ -19,8 +19,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import ndtr
 
-from optshape_graph._arrays import Bools, Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.target import Target
 
 STRAY = 2e-3

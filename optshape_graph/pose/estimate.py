@@ -8,8 +8,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints, frozen
-from optshape_graph._value import Value, shortened
+from optshape_graph._arrays import Floats, Ints, Value, frozen, shortened
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.measurement import TemplateMeasurement
 from optshape_graph.factors.se3 import adjoint, inverse, inverse_covariance

@@ -18,8 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp, ndtr
 
-from optshape_graph._arrays import Bools, Floats, Ints
-from optshape_graph._value import Value
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.se3 import inverse, vec
 from optshape_graph.pose.evidence import chords, share_lost

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
-from optshape_graph._value import Value
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.factors.se3 import inverse
 from optshape_graph.pose.estimate import Ambiguity
 from optshape_graph.pose.likelihood import Firings

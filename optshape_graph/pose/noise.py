@@ -8,8 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.factors.measurement import template_rows
 from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.sensor import SensorModel

@@ -18,8 +18,7 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.se3 import vec, vec_derivative
 from optshape_graph.pose.intervals import mixture_moments

@@ -14,8 +14,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import gammaln, logsumexp
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.factors.se3 import inverse, inverse_covariance, skew
 from optshape_graph.pose.likelihood import Firings, scan_log_likelihood
 from optshape_graph.pose.propagation import Problem

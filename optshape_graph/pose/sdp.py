@@ -19,8 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError, missing_extra
 from optshape_graph.factors.measurement import TemplateMeasurement
 

@@ -51,6 +51,9 @@ class Pool:
         workers: processes on this machine; 1: this process itself.
         dask: address of a Dask scheduler whose workers are used instead.
         tls: files for TLS with that scheduler: the authority's certificate, the own certificate, the own key.
+
+    Raises:
+        InputError: fewer than one worker.
     """
 
     workers: int = 1

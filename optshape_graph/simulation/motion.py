@@ -8,8 +8,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
-from optshape_graph._arrays import Floats, frozen
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 
 

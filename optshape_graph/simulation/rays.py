@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.errors import InputError
 from optshape_graph.sensor import SensorModel
 

@@ -7,8 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints, frozen
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.simulation.rays import NO_MARGIN, EdgeMargin, Sphere, at
 from optshape_graph.target import Target

@@ -11,12 +11,12 @@ import pytest
 
 from optshape_graph.detection import detect_targets
 from optshape_graph.edges import extract_edge_points, with_top_and_bottom
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import estimate_pose
 from optshape_graph.pose.intervals import truncated_moments
 from optshape_graph.pose.noise import LOST_RETURNS, LOST_SPAN, EdgeNoise
 from optshape_graph.pose.propagation import Problem, edge_geometry, own_variance
+from optshape_graph.se3 import inverse
 from optshape_graph.simulation import NoiseModel, simulate_target
 from tests.detection.scenes import pose, scan_of
 

@@ -15,8 +15,8 @@ from optshape_graph.calibration.images.chessboard import chessboard_points
 from optshape_graph.calibration.images.projection import project
 from optshape_graph.evaluation.camera_session import synthetic_camera_session
 from optshape_graph.evaluation.rendering import render_target
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io import load_sensor, load_session
+from optshape_graph.se3 import inverse
 from tests.calibration.camera.support import BOARD, PINHOLE, T_CAMERA_LIDAR
 from tests.io.schema_support import complaint
 

@@ -218,7 +218,7 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     "map that is no JSON": (MAPPED + "--known k.json", {"k.json": "{", "folder/timestamps.txt": "1\n", "folder/a.pcd": PCD + POINTS}, ("k.json:1: not JSON",)),
     "map with a pose that is none": (
         MAPPED + "--known k.json", {"k.json": MAP.replace("[[1, 0, 0, 0]", "[[2, 0, 0, 0]"), "folder/timestamps.txt": "1\n", "folder/a.pcd": PCD + POINTS},
-        ("k.json: landmarks[0]: landmark 'A': its pose is not a rigid transform",),
+        ("k.json: landmarks[0]: landmark 'A': not a rigid transform",),
     ),
     "map with a covariance that is none": (
         MAPPED + "--known k.json", {"k.json": MAP.replace("[[1,0", "[[-1,0"), "folder/timestamps.txt": "1\n", "folder/a.pcd": PCD + POINTS},

@@ -9,8 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.consistency import (
     LIMIT,
     describe,
@@ -35,7 +34,7 @@ from optshape_graph.calibration.camera.start import Start, find_start
 from optshape_graph.calibration.camera.uncertainty import Uncertainty
 from optshape_graph.calibration.free_shape import MeasuredShape, measure_shape
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 FOLDS = 5

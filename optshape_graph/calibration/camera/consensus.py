@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
-from optshape_graph._value import Value
-from optshape_graph.factors.se3 import inverse
+from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph.se3 import angle, inverse, transform
 
 MOST_HYPOTHESES = 400
 DIFFERENT = (np.radians(15.0), 0.3)
@@ -75,10 +74,8 @@ def rigid_fit(A: Floats, B: Floats, sigma_centre: Floats, sigma_angle: float) ->
     # A rotation by a small angle moves the three axes by 2 angle^2 in all.
     axes = np.einsum("vik,vjk->ij", A[:, :3, :3], B[:, :3, :3]) / (2 * sigma_angle**2)
     U, _, Vt = np.linalg.svd(centres + axes)
-    T = np.eye(4)
-    T[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    T[:3, 3] = mean_a - T[:3, :3] @ mean_b
-    return T
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return transform(R, mean_a - R @ mean_b)
 
 
 def _refined(E: Floats, A: Floats, B: Floats) -> Consensus:
@@ -114,9 +111,9 @@ def distances(
     P = (E @ B)[:, None]
     centre = np.linalg.norm(A[:, :, None, :3, 3] - P[..., :3, 3], axis=-1)
     trace = np.einsum("vikl,vjkl->vij", A[..., :3, :3], P[:, 0, :, :3, :3])
-    angle = np.arccos(np.clip((trace - 1) / 2, -1, 1))
+    turn = np.arccos(np.clip((trace - 1) / 2, -1, 1))
     sigma = sigma_centre * np.maximum(np.linalg.norm(B[:, 0, :3, 3], axis=-1) / 2.0, 1.0)
-    squared = (centre / sigma[:, None, None]) ** 2 + (angle / sigma_angle) ** 2
+    squared = (centre / sigma[:, None, None]) ** 2 + (turn / sigma_angle) ** 2
     squared = np.where(np.isnan(squared), np.inf, squared)
     flat = squared.reshape(len(A), -1)
     # Of readings that agree about as well, the first: which of two mirrored labellings it is must not depend on noise.
@@ -134,5 +131,4 @@ def _padded(candidates: Sequence[Floats]) -> Floats:
 
 
 def _different(T: Floats, U: Floats) -> bool:
-    angle = np.arccos(np.clip((np.trace(T[:3, :3].T @ U[:3, :3]) - 1) / 2, -1, 1))
-    return bool(angle > DIFFERENT[0] or np.linalg.norm(T[:3, 3] - U[:3, 3]) > DIFFERENT[1])
+    return bool(angle(inverse(T) @ U) > DIFFERENT[0] or np.linalg.norm(T[:3, 3] - U[:3, 3]) > DIFFERENT[1])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 
-import gtsam
 import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import chi2
@@ -14,7 +13,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.graph import Discrepancy, Rig, Sighting
 from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan, View, candidates
 from optshape_graph.calibration.images.planar_pose import refine_pose
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import angle, difference, inverse
 
 FALSE_REJECTION = 1e-4
 """Probability that a good view is rejected, were its errors Gaussian."""
@@ -80,7 +79,7 @@ def estimate_discrepancy(sightings: Sequence[Sighting], rig: Rig, used: set[int]
         return Discrepancy()
     base = rig.T_base_sensor
     x = np.stack(
-        [_difference(base[s.sensor] @ pose_alone(s, rig), base[i.sensor] @ pose_alone(i, rig)) for s, i in pairs]
+        [difference(base[i.sensor] @ pose_alone(i, rig), base[s.sensor] @ pose_alone(s, rig)) for s, i in pairs]
     )
     C = np.stack([s.covariance + i.covariance for s, i in pairs])
     share = (len(pairs) - 1) / len(pairs)
@@ -108,8 +107,7 @@ def describe(number: int, views: Sequence[View], sightings: Sequence[Sighting], 
     T_lidar_target = pose_alone(scan, rig)
     predicted = inverse(rig.T_base_sensor[image.sensor]) @ rig.T_base_sensor[scan.sensor] @ T_lidar_target
     shift = 1e3 * np.linalg.norm(predicted[:3, 3] - image.T_sensor_target[:3, 3])
-    cosine = (np.trace(predicted[:3, :3].T @ image.T_sensor_target[:3, :3]) - 1) / 2
-    turn = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    turn = np.degrees(angle(inverse(predicted) @ image.T_sensor_target))
     text = f"scan and image disagree by {shift:.0f} mm and {turn:.1f} deg under the extrinsic of the other views"
     for other, view in enumerate(views):
         if other == number or view.image is None or view.image.camera.name != image.sensor:
@@ -130,13 +128,8 @@ def of_view(number: int, sightings: Sequence[Sighting]) -> tuple[Sighting | None
 
 
 def _squared(T: Floats, covariance_T: Floats, U: Floats, covariance_U: Floats) -> float:
-    x = _difference(T, U)
+    x = difference(U, T)
     return float(x @ np.linalg.solve(covariance_T + covariance_U, x))
-
-
-def _difference(T: Floats, U: Floats) -> Floats:
-    """Return x (6,) with T = U Exp(x)."""
-    return np.asarray(gtsam.Pose3.Logmap(gtsam.Pose3(U).between(gtsam.Pose3(T))))
 
 
 def _covariance(sighting: Sighting, discrepancy: Discrepancy) -> Floats:
@@ -147,7 +140,4 @@ def _covariance(sighting: Sighting, discrepancy: Discrepancy) -> Floats:
 
 def _nearest_symmetry(T: Floats, U: Floats, view: View) -> Floats:
     """Return the symmetry (4, 4) of the view's target that brings T closest to U."""
-    best = max(view.target.symmetry_rotations, key=lambda R: float(np.trace(U[:3, :3].T @ T[:3, :3] @ R)))
-    S = np.eye(4)
-    S[:3, :3] = best
-    return S
+    return np.asarray(view.target.symmetry_transforms[view.target.nearest_symmetry(T, U)])

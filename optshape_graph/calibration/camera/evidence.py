@@ -11,7 +11,7 @@ from optshape_graph.calibration.camera.consistency import pose_alone
 from optshape_graph.calibration.camera.graph import Rig, Sighting
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.projection import project
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import apply, inverse
 from optshape_graph.target import Target
 
 
@@ -73,7 +73,7 @@ def view_errors(scan: Sighting, image: Sighting, target: Target, rig: Rig) -> Vi
     camera = rig.cameras[image.sensor]
     normal, centre = T_camera_target[:3, 0], T_camera_target[:3, 3]
     centroid = T_camera_lidar[:3, :3] @ returns.mean(axis=0) + T_camera_lidar[:3, 3]
-    pixels = [project(camera, target.vertices @ T[:3, :3].T + T[:3, 3]) for T in (predicted, T_camera_target)]
+    pixels = [project(camera, apply(T, target.vertices)) for T in (predicted, T_camera_target)]
     return ViewErrors(
         centre_error_mm=1e3 * float(np.linalg.norm(predicted[:3, 3] - centre)),
         plane_offset_mm=1e3 * float(normal @ (centroid - centre)),

@@ -13,7 +13,7 @@ from optshape_graph.calibration.camera.calibrate import CameraCalibration, ViewR
 from optshape_graph.calibration.free_shape import MeasuredShape
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
-from optshape_graph.factors.se3 import inverse, inverse_covariance
+from optshape_graph.se3 import inverse, inverse_covariance
 
 
 def as_document(calibration: CameraCalibration) -> dict[str, Any]:

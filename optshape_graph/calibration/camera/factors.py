@@ -24,15 +24,14 @@ import gtsam
 import gtsam_unstable
 import numpy as np
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.projection import normalised, projection_derivative
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.factors import CheckedFactor
-from optshape_graph.factors.se3 import adjoint
+from optshape_graph.se3 import adjoint
 
 PRINT_SIGMA_M = 1e-4
 """Standard deviation of a point's place in its pattern, metres."""

@@ -9,8 +9,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, K, L, O, P, S, W
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.factors import (
     INTRINSICS_SIGMA,
     OFFSET_SIGMA_M,
@@ -23,7 +22,7 @@ from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInS
 from optshape_graph.calibration.camera.uncertainty import Uncertainty, uncertainty_of
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.factors import TemplateFactor
-from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.se3 import adjoint, inverse
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from optshape_graph.calibration.camera.sightings import TargetInImage, View
 from optshape_graph.calibration.images.planar_pose import whitened_errors
 from optshape_graph.calibration.images.projection import project
 from optshape_graph.errors import InputError
+from optshape_graph.se3 import apply
 
 FEWEST_IMAGES = 8
 """Images from which a lens can be judged: with fewer, a bent board looks like a wrong lens."""
@@ -95,7 +96,7 @@ def _check(name: str, images: Sequence[TargetInImage], camera: CompiledCamera) -
 def _by_lens(image: TargetInImage, camera: CompiledCamera) -> Floats:
     """Derivative (2 m, 6) of the whitened errors by the entries LENS of the intrinsics."""
     T, points = image.poses[0].T_camera_target, image.points
-    in_camera = points.points @ T[:3, :3].T + T[:3, 3]
+    in_camera = apply(T, points.points)
     columns = []
     for k in LENS:
         step = 1e-3 * INTRINSICS_SIGMA[k] * np.eye(len(INTRINSICS_SIGMA))[k]

@@ -9,8 +9,7 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.graph import Sighting
 from optshape_graph.calibration.camera.observability import principal_directions
 from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan
@@ -18,7 +17,7 @@ from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import pose_at
 from optshape_graph.calibration.images.projection import normalised, project
 from optshape_graph.camera import CameraIntrinsics
-from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.se3 import adjoint, apply, inverse
 from optshape_graph.target import Target
 
 COLUMNS, ROWS = (0.15, 0.5, 0.85), (0.3, 0.5, 0.7)
@@ -94,9 +93,7 @@ def _placements(
 ) -> Iterator[tuple[Floats, float, float]]:
     """Yield T_lidar_target, yaw and pitch of placements that lie in the image, their centres in the LiDAR's view."""
     T_lidar_camera = inverse(T_camera_lidar)
-    distance = float(
-        np.median(np.linalg.norm(poses[:, :3, 3] @ T_camera_lidar[:3, :3].T + T_camera_lidar[:3, 3], axis=1))
-    )
+    distance = float(np.median(np.linalg.norm(apply(T_camera_lidar, poses[:, :3, 3]), axis=1)))
     elevations = np.arcsin(poses[:, 2, 3] / np.linalg.norm(poses[:, :3, 3], axis=1))
     low, high = elevations.min() - np.radians(3), elevations.max() + np.radians(3)
     roll = _median_roll(poses)

@@ -9,6 +9,7 @@ import numpy as np
 
 from optshape_graph.calibration.camera.sightings import TargetInImage, View
 from optshape_graph.calibration.images.projection import project
+from optshape_graph.se3 import apply
 
 PRIOR_RESIDUALS = 20.0
 """Residuals' worth of trust in the noise that the pixels are stated with."""
@@ -20,7 +21,7 @@ def with_estimated_pixel_noise(views: Sequence[View]) -> list[View]:
     freedom: dict[str, float] = {}
     for image in (view.image for view in views if view.image is not None):
         T, points = image.poses[0].T_camera_target, image.points
-        errors = project(image.camera, points.points @ T[:3, :3].T + T[:3, 3]) - points.pixels
+        errors = project(image.camera, apply(T, points.points)) - points.pixels
         whitened = np.einsum("nij,nj->ni", points.sqrt_information, errors)
         # A point of an edge measures across it only: one residual, not two.
         strength = np.linalg.svd(points.sqrt_information, compute_uv=False)

@@ -9,7 +9,7 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.uncertainty import Uncertainty
 from optshape_graph.errors import UnobservableError
-from optshape_graph.factors.se3 import adjoint
+from optshape_graph.se3 import adjoint
 
 UNOBSERVABLE = 0.3
 """Standard deviation beyond which a direction counts as open: metres, or rad times the targets' distance."""

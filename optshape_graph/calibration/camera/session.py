@@ -17,11 +17,11 @@ from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInS
 from optshape_graph.calibration.images.reading import ImageTask, find_targets
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors.se3 import adjoint, vec_derivative
 from optshape_graph.io import Session, read_scan
 from optshape_graph.io import View as Entry
 from optshape_graph.pose import PoseEstimate, estimate_pose
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import adjoint, vec_derivative
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 

@@ -7,14 +7,13 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import PlanarPose
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.factors import TemplateMeasurement
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 
@@ -141,7 +140,7 @@ def candidates(sighting: TargetInScan | TargetInImage, target: Target) -> tuple[
     """
     if isinstance(sighting, TargetInScan):
         poses = [(sighting.T_lidar_target, sighting.covariance)]
-        motions = tuple(_rotation(R) for R in target.symmetry_rotations)
+        motions = tuple(target.symmetry_transforms)
     else:
         poses = [(pose.T_camera_target, np.asarray(np.linalg.inv(pose.information))) for pose in sighting.poses]
         motions = sighting.points.symmetries
@@ -149,9 +148,3 @@ def candidates(sighting: TargetInScan | TargetInImage, target: Target) -> tuple[
     return tuple(
         Candidate(T @ inverse(S), adjoint(S) @ covariance @ adjoint(S).T, S) for S in motions for T, covariance in poses
     )
-
-
-def _rotation(R: Floats) -> Floats:
-    T = np.eye(4)
-    T[:3, :3] = R
-    return T

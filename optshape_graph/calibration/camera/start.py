@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.consensus import CUT, Consensus, distances, relative_pose
 from optshape_graph.calibration.camera.graph import Rig, Sighting
 from optshape_graph.calibration.camera.sightings import Candidate, TargetInImage, TargetInScan, View, candidates
 from optshape_graph.errors import EstimationError, UnobservableError
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import inverse
 
 AMBIGUOUS = 4.0
 """Truncated cost by which the best relative pose has to beat every different one; a view adds at most 9."""

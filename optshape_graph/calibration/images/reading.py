@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from optshape_graph._value import Value
+from optshape_graph._arrays import Value
 from optshape_graph.calibration.camera.sightings import TargetInImage
 from optshape_graph.calibration.images.chessboard import find_chessboard
 from optshape_graph.calibration.images.image_points import ImagePoints

@@ -15,13 +15,12 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import E, H, M, S
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.mocap.comparison import MocapScan, ScanError, in_sample, leave_one_out, name_alike, tie
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import CheckedFactor, TemplateFactor
-from optshape_graph.factors.se3 import inverse, inverse_covariance, skew
 from optshape_graph.pose import refine
+from optshape_graph.se3 import inverse, inverse_covariance, skew
 
 MARKER_NOISE = 1e-3
 """Standard deviation of a marker coordinate, metres: motion capture measures to a millimetre or better."""

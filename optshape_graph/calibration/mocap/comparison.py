@@ -15,10 +15,10 @@ from itertools import permutations
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import InputError
 from optshape_graph.pose import PoseEstimate
+from optshape_graph.se3 import angle, apply, inverse
 from optshape_graph.target import Target
 
 MIN_MARKERS = 3
@@ -118,7 +118,7 @@ def assign_markers(target: Target, frames: Sequence[Floats]) -> tuple[int, ...]:
         total = 0.0
         for frame in whole:
             T = align(frame[list(order)], target.vertices)
-            total += float(np.sum((target.vertices @ T[:3, :3].T + T[:3, 3] - frame[list(order)]) ** 2))
+            total += float(np.sum((apply(T, target.vertices) - frame[list(order)]) ** 2))
         return total
 
     ranked = sorted((misfit(order), order) for order in permutations(range(len(target))))
@@ -157,19 +157,18 @@ def name_alike(scans: Sequence[MocapScan]) -> tuple[MocapScan, ...]:
         return tuple(scans)
     candidates = []
     for k in range(len(target.symmetries)):
-        T_lidar_mocap = scans[0].estimate.equivalent_poses[k] @ np.linalg.inv(scans[0].T_mocap_target)
+        T_lidar_mocap = scans[0].estimate.equivalent_poses[k] @ inverse(scans[0].T_mocap_target)
         named = []
         for scan in scans:
-            predicted = (T_lidar_mocap @ scan.T_mocap_target)[:3, :3]
-            agreement = np.einsum("kij,ij->k", scan.estimate.equivalent_poses[:, :3, :3], predicted)
-            named.append(replace(scan, estimate=scan.estimate.equivalent(int(agreement.argmax()))))
+            k_named = target.nearest_symmetry(scan.estimate.T_lidar_target, T_lidar_mocap @ scan.T_mocap_target)
+            named.append(replace(scan, estimate=scan.estimate.equivalent(int(k_named))))
         candidates.append((sum(error.rmse_m**2 for error in _compare(named, tie(named))), k, tuple(named)))
     return min(candidates)[2]
 
 
 def tie(scans: Sequence[MocapScan]) -> Floats:
     """Return T_lidar_mocap (4, 4) that brings the vertices fitted to markers nearest to those of the estimates."""
-    mocap = np.vstack([_apply(scan.T_mocap_target, scan.estimate.target.vertices) for scan in scans])
+    mocap = np.vstack([apply(scan.T_mocap_target, scan.estimate.target.vertices) for scan in scans])
     lidar = np.vstack([scan.estimate.vertices for scan in scans])
     return align(lidar, mocap)
 
@@ -193,11 +192,6 @@ def _error(scan: MocapScan, T_lidar_mocap: Floats) -> ScanError:
     target = scan.estimate.target
 
     T = scan.estimate.T_lidar_target
-    rmse = np.sqrt(np.mean(np.sum((scan.estimate.vertices - _apply(truth, target.vertices)) ** 2, axis=1)))
-    angle = np.linalg.norm(gtsam.Rot3.Logmap(gtsam.Rot3(truth[:3, :3].T @ T[:3, :3])))
+    rmse = np.sqrt(np.mean(np.sum((scan.estimate.vertices - apply(truth, target.vertices)) ** 2, axis=1)))
     e_t = np.linalg.norm(T[:3, 3] - truth[:3, 3])
-    return ScanError(scan.name, float(rmse), float(e_t), float(np.degrees(angle)))
-
-
-def _apply(T: Floats, points: Floats) -> Floats:
-    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+    return ScanError(scan.name, float(rmse), float(e_t), float(np.degrees(angle(inverse(truth) @ T))))

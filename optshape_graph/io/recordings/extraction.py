@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.documents import write_json

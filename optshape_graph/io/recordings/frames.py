@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
-from optshape_graph._value import Value
+from optshape_graph._arrays import Floats, Value
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optshape_graph._value import Value
+from optshape_graph._arrays import Value
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.cameras import ROS_MODELS

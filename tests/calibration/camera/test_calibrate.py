@@ -10,8 +10,8 @@ from optshape_graph.calibration.camera.graph import Unknowns
 from optshape_graph.calibration.camera.sightings import View
 from optshape_graph.calibration.images.planar_pose import planar_poses
 from optshape_graph.errors import EstimationError, UnobservableError
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.documents import write_json
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 from tests.calibration.camera.support import (
     BOARD,

@@ -6,7 +6,7 @@ import pytest
 from optshape_graph.calibration.camera.evidence import CrossValidation, ViewErrors, view_errors, without_bias
 from optshape_graph.calibration.camera.graph import Rig, Sighting
 from optshape_graph.calibration.images.projection import project
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import inverse
 from tests.calibration.camera.support import (
     BOARD,
     FISHEYE,

@@ -8,7 +8,7 @@ from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.projection import project
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import inverse
 from tests.calibration.camera.support import (
     BOARD,
     FISHEYE,
