@@ -71,6 +71,7 @@ class OneLine(logging.Formatter):
     """Log messages in one line each, in which nothing is obeyed by a terminal."""
 
     def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
         return shown(super().format(record), LONGEST_MESSAGE)
 
 

@@ -34,6 +34,7 @@ class Number(click.ParamType):  # type: ignore[type-arg]  # generic in newer ver
         self.least, self.most, self.open = least, most, open
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number that a text is."""
         try:
             number = float(value)
         except (TypeError, ValueError):

@@ -13,8 +13,7 @@ from optshape_graph.detection.judge import edge_margin, judge, objection, return
 from optshape_graph.detection.results import Detection, Evidence, Rejection
 from optshape_graph.detection.segments import OrderedScan, ring_ends
 from optshape_graph.errors import EstimationError
-from optshape_graph.pose import PoseEstimate, estimate_pose
-from optshape_graph.pose.estimate import AMBIGUITY_MARGIN
+from optshape_graph.pose import PoseEstimate, PoseOptions, estimate_pose
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
@@ -61,7 +60,7 @@ def identify(
     status, reason = best.estimate.status, best.estimate.reason
     share = np.exp(likelihoods[order] - np.logaddexp.reduce(likelihoods))
     probabilities = {fits[k].estimate.target.name: float(p) for k, p in zip(order, share, strict=True)}
-    if rival is not None and margin < AMBIGUITY_MARGIN:
+    if rival is not None and margin < PoseOptions.ambiguity_margin:
         likely = ", ".join(f"'{name}' {100 * p:.2g} %" for name, p in probabilities.items() if p > 1e-3)
         status, reason = "ambiguous", f"its returns do not tell the targets apart: {likely}"
     rows = best.rows[np.argsort(ordered.index[best.rows])]

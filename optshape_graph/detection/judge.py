@@ -8,7 +8,7 @@ from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.detection.results import Evidence
 from optshape_graph.detection.segments import OrderedScan, find_borders
 from optshape_graph.pose import PoseEstimate
-from optshape_graph.pose.evidence import chords
+from optshape_graph.pose.likelihood import chords
 from optshape_graph.se3 import apply
 
 _CENTRAL = 1.96  # standard deviations about the plane within which 95 % of the returns lie

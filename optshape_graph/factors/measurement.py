@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, in_plane, outer_rows, triangular
-from optshape_graph.se3 import PoseLike, as_matrix, as_transform, inverse, vec, vec_derivative
+from optshape_graph.se3 import PoseLike, as_matrix, as_transform, exp, inverse, vec, vec_derivative
 
 
 def edge_rows(points: ArrayLike, normals: ArrayLike, offsets: ArrayLike) -> tuple[Floats, Floats]:
@@ -233,6 +233,29 @@ class TemplateMeasurement(Value):
     def quadratic(self) -> Floats:
         """Return the matrix Q (13, 13) with error = 1/2 [z; 1]^T Q [z; 1]."""
         return self.stack.T @ self.stack
+
+
+def refine(measurement: TemplateMeasurement, iterations: int = 20) -> Floats:
+    """Return the T_target_lidar (4, 4) nearest to where a measurement was taken that minimises its error.
+
+    Gauss-Newton steps on the compressed rows, with Levenberg's damping where they do not lead down.
+    """
+    T, damping = measurement.T_target_lidar, 1e-12
+    error = measurement.error(T)
+    for _ in range(iterations):
+        J = measurement.jacobian(T)
+        information = J.T @ J
+        damped = information + damping * np.trace(information) * np.eye(6)
+        step = -np.linalg.solve(damped, J.T @ measurement.residual(T))
+        candidate = T @ exp(step)
+        new = measurement.error(candidate)
+        if new <= error:
+            T, error, damping = candidate, new, max(damping / 10, 1e-12)
+        else:
+            damping = max(10 * damping, 1e-8)
+        if np.abs(step).max() < 1e-9 or damping > 1.0:
+            break
+    return np.asarray(T)
 
 
 class Measured(Protocol):

@@ -109,7 +109,7 @@ class ShapeMeasurement(Value):
         return self.U @ by_pose.reshape(-1, 6), self.U @ by_vertex
 
     def error(self, T_target_lidar: PoseLike, vertices: ArrayLike) -> float:
-        """Return half the sum of the squared whitened rows at a pose (4, 4) and vertices (n, 3), metres, target frame."""
+        """Return half the sum of the squared whitened rows at a pose (4, 4) and vertices (n, 3), target frame."""
         return 0.5 * float(np.square(self.residual(T_target_lidar, vertices)).sum())
 
     def of_template(self, vertices: ArrayLike) -> TemplateMeasurement:

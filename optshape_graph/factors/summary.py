@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.factors._noise import gaussian
-from optshape_graph.factors._rows import factored
+from optshape_graph.factors._rows import factored, gaussian
 from optshape_graph.factors.measurement import Measured, TemplateMeasurement, measurement_of
 from optshape_graph.se3 import PoseLike, adjoint, as_matrix, inverse, vec, vec_derivative
 

@@ -72,10 +72,33 @@ def read_bytes(path: str | Path, largest: int = LARGEST_FILE) -> bytes:
 
 
 def _check_regular(path: Path) -> None:
-    """Refuse what is no file: a pipe may never end, nor begin."""
+    """Refuse what is no file: a device has no end, and a named pipe may have none, nor a beginning.
+
+    What a shell makes of `<(...)`, and /dev/stdin, are pipes that it has filled: they are read.
+    """
     mode = path.stat().st_mode
-    if not stat.S_ISREG(mode):
-        raise InputError(f"{path}: expected a file, found a {'folder' if stat.S_ISDIR(mode) else 'pipe or device'}")
+    if stat.S_ISREG(mode) or (stat.S_ISFIFO(mode) and path.parts[:2] in (("/", "dev"), ("/", "proc"))):
+        return
+    kind = "folder" if stat.S_ISDIR(mode) else "named pipe" if stat.S_ISFIFO(mode) else "device"
+    raise InputError(f"{path}: expected a file, found a {kind}")
+
+
+def read_head(path: str | Path, size: int) -> bytes:
+    """Return the first bytes of a file; of anything else than a regular file none.
+
+    Raises:
+        InputError: the file is missing or not readable.
+    """
+    path = Path(path)
+    try:
+        if path.exists() and not path.is_file():
+            return b""
+        with path.open("rb") as stream:
+            return stream.read(size)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({_reason(error)})") from error
 
 
 def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:

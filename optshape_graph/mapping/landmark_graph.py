@@ -16,7 +16,7 @@ from gtsam.symbol_shorthand import L, X
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import Summary, summarise
-from optshape_graph.factors._noise import gaussian
+from optshape_graph.factors._rows import gaussian
 from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.priors import joint_prior, root_of
 from optshape_graph.mapping.smoother import Smoother

@@ -188,10 +188,8 @@ def load_map(path: str | Path) -> Map:
         InputError: not readable, or not of the schema; the message names file and key.
     """
     root = read_document(path, "map")
-    fields = root.fields(["schema", "targets", "landmarks", "trajectory"], ["joint_covariance", "session", "report"])
-    templates = {
-        name: node.fields(["vertices"])["vertices"].numbers(-1, 3) for name, node in fields["targets"].entries().items()
-    }
+    fields = root.entries()
+    templates = {name: node.at("vertices").numbers(-1, 3) for name, node in fields["targets"].entries().items()}
     landmarks = tuple(_landmark(node, templates) for node in fields["landmarks"].items())
     only = fields["session"].text() if "session" in fields else ""
     joint = None
@@ -220,12 +218,10 @@ def _stamps(trajectory: Trajectory) -> list[float]:
 
 
 def _landmark(node: Node, templates: Mapping[str, Floats]) -> Landmark:
-    fields = node.fields(["id", "target", "T_world_target", "covariance"], ["vertices", "observations"])
+    fields = node.entries()
     name = fields["id"].text()
     if name not in templates:
         fields["id"].fail(f"no template for landmark '{name}' under 'targets'")
-    if "vertices" in fields:
-        fields["vertices"].numbers(-1, 3)  # for other programs: they follow from the template and the pose
     observations = fields["observations"].integer() if "observations" in fields else 0
     try:
         target = Target(templates[name], fields["target"].text())
@@ -240,7 +236,7 @@ def _trajectories(node: Node, only: str) -> dict[str, Trajectory]:
     stamps: dict[str, list[float]] = {}
     poses: dict[str, list[Floats]] = {}
     for entry in node.items():
-        fields = entry.fields(["stamp", "T_world_lidar"], ["session"])
+        fields = entry.entries()
         name = fields["session"].text() if "session" in fields else only
         stamps.setdefault(name, []).append(fields["stamp"].number())
         poses.setdefault(name, []).append(as_transform(fields["T_world_lidar"].numbers(4, 4), entry.where))

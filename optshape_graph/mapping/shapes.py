@@ -14,12 +14,12 @@ import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.factors import ShapeMeasurement, shape_rows
-from optshape_graph.factors._noise import gaussian
+from optshape_graph.factors._rows import gaussian
 from optshape_graph.mapping.priors import sqrt_information
 from optshape_graph.mapping.sighting import Sighting
 from optshape_graph.mapping.track import Keys, MappingProblem
 from optshape_graph.pose import PoseEstimate
-from optshape_graph.pose.angles import level_rings
+from optshape_graph.pose.azimuth_grid import level_rings
 from optshape_graph.pose.noise import returns_on_plane
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, apply, inverse
@@ -42,7 +42,7 @@ def shape_measurement(estimate: PoseEstimate, returns: Scan) -> ShapeMeasurement
     normal, distance = plane[:3], -float(plane[3])
     boundary = edges.points + estimate.inset[:, None] * edges.outward(normal)
     boundary = boundary * (distance / (boundary @ normal))[:, None]
-    on_plane = returns_on_plane(returns.points, returns.ring, normal, distance, returns.sensor, azimuth_noise)
+    on_plane = returns_on_plane(returns, normal, distance, azimuth_noise)
     # The distance from the plane goes along its normal, where it does not touch the row's other coefficients.
     off_plane = on_plane.points - on_plane.offset[:, None] * normal
     rows = np.vstack([

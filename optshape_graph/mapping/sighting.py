@@ -18,10 +18,6 @@ LOOSEST = 10.0
 """Standard deviation, rad or metres, from which on a measurement does not determine a pose."""
 
 
-RING_BIAS = "range bias of ring "
-"""How the pose estimator names what a ring keeps from scan to scan."""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Sighting(Value):
     """One target in one scan.
@@ -138,7 +134,7 @@ def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
     """
     if estimate.shared is None:
         return None
-    biased = estimate.shared.without([name for name in estimate.shared.shared if not name.startswith(RING_BIAS)])
+    biased = estimate.shared.without([error for error in estimate.shared.shared if error.ring is None])
     own = np.trace(biased.marginal(1.0).information(estimate.T_target_lidar))
     scale = float(np.sqrt(np.trace(estimate.measurement.information()) / own))
     return replace(biased, stack=biased.stack * min(scale, 1.0))

@@ -11,7 +11,7 @@ from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.records import to_record
 from optshape_graph.pose import Backend, Method, PoseEstimate, estimate_pose
-from optshape_graph.pose.estimate import failed_entry
+from optshape_graph.pose.result import failed_entry
 from optshape_graph.runs.files import UNREADABLE, Outcome
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel

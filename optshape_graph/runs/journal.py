@@ -20,7 +20,8 @@ from typing import Any, BinaryIO, Self
 
 from optshape_graph.errors import InputError
 
-SCHEMA = "optshape/journal/1"
+KIND = "journal of optshape_graph, 1"
+"""What the first line says that the file is."""
 
 _TASK = re.compile(rb'\{"task": (\d{1,12}),')
 
@@ -43,7 +44,7 @@ class Journal:
         self._places = array("q", [-1]) * count
         self._file = tempfile.TemporaryFile() if path is None else _locked(path)  # noqa: SIM115  # closed in `close`
         try:
-            self._begin({"schema": SCHEMA, "digest": digest({**describe, "tasks": count}), "tasks": count})
+            self._begin({"kind": KIND, "digest": digest({**describe, "tasks": count}), "tasks": count})
         except BaseException:
             self._file.close()
             raise
@@ -114,7 +115,7 @@ class Journal:
             self._file.write(json.dumps(header).encode() + b"\n")
             return
         found = self._parsed(first, None)
-        if found.get("schema") != SCHEMA:
+        if found.get("kind") != KIND:
             raise InputError(f"{self.path}: expected the journal of a run, found another file; choose another output")
         if found != header:
             raise InputError(

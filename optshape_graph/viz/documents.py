@@ -50,6 +50,8 @@ def spatial(path: str | Path, targets: Mapping[str, Target] | None = None) -> Sp
         return of_scan(read_scan(path))
     root = read_json(path)
     schema = _at(root, "schema").text()
+    if schema == "optshape/camera/1" and "T_camera_lidar" in root.value:  # as version 0.1.0 wrote calibrations
+        schema = "optshape/camera-calibration/1"
     kind = schema.removeprefix("optshape/").partition("/")[0]
     if schema != f"optshape/{kind}/1" or kind not in FORMS:
         forms = ", ".join(f"optshape/{name}/1" for name in FORMS)
@@ -178,7 +180,7 @@ FORMS: dict[str, Callable[[Node, Mapping[str, Target]], Spatial]] = {
     "estimate": _estimate,
     "detect": _detect,
     "map": _map,
-    "camera": _camera,
+    "camera-calibration": _camera,
     "mocap": _mocap,
     "simulation": _simulation,
 }
@@ -229,6 +231,6 @@ def _template(name: str, targets: Mapping[str, Target], notes: list[str]) -> Tar
 def _intrinsics(node: Node) -> CameraIntrinsics:
     D = _at(node, "D").items()
     return CameraIntrinsics(
-        _at(node, "name").text(), _at(node, "model").text(), _at(node, "width").integer(1),
-        _at(node, "height").integer(1), _at(node, "K").numbers(3, 3), np.array([one.number() for one in D]),
+        _at(node, "name").text(), _at(node, "model").text(), _at(node, "width").integer(),
+        _at(node, "height").integer(), _at(node, "K").numbers(3, 3), np.array([one.number() for one in D]),
     )  # fmt: skip

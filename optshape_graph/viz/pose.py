@@ -11,8 +11,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
-from optshape_graph.pose import PoseEstimate
-from optshape_graph.pose.estimate import AMBIGUITY_MARGIN
+from optshape_graph.pose import PoseEstimate, PoseOptions
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import apply, inverse
 from optshape_graph.target import Target
@@ -225,7 +224,7 @@ def plot_runner_up(scan: Scan, estimate: PoseEstimate) -> Figure:
     axes.set_title(
         f"{short(scan.name)}, {estimate.status}: "
         f"the runner-up's log likelihood is {estimate.ambiguity.margin:.1f} lower\n"
-        f"(below {AMBIGUITY_MARGIN:g} a different pose is not ruled out)", fontsize=11,
+        f"(below {PoseOptions.ambiguity_margin:g} a different pose is not ruled out)", fontsize=11,
     )  # fmt: skip
     legend_below(figure, axes)
     return figure

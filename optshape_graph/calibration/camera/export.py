@@ -17,7 +17,7 @@ from optshape_graph.se3 import inverse, inverse_covariance
 
 
 def as_document(calibration: CameraCalibration) -> dict[str, Any]:
-    """Return the JSON form, `schema: optshape/camera/1`.
+    """Return the JSON form, `schema: optshape/camera-calibration/1`.
 
     With one LiDAR and one camera the transform stands at the top; with several, `extrinsics` lists every pair, and
     the top repeats the first.
@@ -25,7 +25,7 @@ def as_document(calibration: CameraCalibration) -> dict[str, Any]:
     pairs = [_pair(calibration, lidar, camera) for camera in calibration.cameras for lidar in calibration.lidars]
     several = len(pairs) > 1
     biases = [_lidar_errors(calibration, lidar) for lidar in calibration.lidars]
-    document: dict[str, Any] = {"schema": "optshape/camera/1", **pairs[0], **biases[0]}
+    document: dict[str, Any] = {"schema": "optshape/camera-calibration/1", **pairs[0], **biases[0]}
     if several:
         document["extrinsics"] = pairs
         document["lidars"] = [

@@ -153,8 +153,8 @@ class CalibrationGraph:
             if isinstance(sighting.seen, TargetInScan) and values.exists(L(number)):
                 # (T Exp(x))^-1 = T^-1 Exp(-Ad(T) x)
                 effect = -adjoint(sighting.seen.T_lidar_target) @ sighting.seen.shared_effect
-                names = [f"{sighting.sensor}: {name}" for name in sighting.seen.shared]
-                shifts[L(number)] = names, sighting.seen.measurement.information() @ effect
+                errors = [(sighting.sensor, error) for error in sighting.seen.shared]
+                shifts[L(number)] = errors, sighting.seen.measurement.information() @ effect
         return uncertainty_of(graph.linearize(values), values, kept, rows, shifts)
 
     # The factors of one sighting, and what they touch.

@@ -17,6 +17,7 @@ from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInS
 from optshape_graph.calibration.images.reading import ImageTask, find_targets
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.factors import RANGE_BIAS, SharedError
 from optshape_graph.io import Session, read_scan
 from optshape_graph.io import View as Entry
 from optshape_graph.pose import PoseEstimate, estimate_pose
@@ -122,22 +123,22 @@ def target_in_scan(
     )
 
 
-def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[str, ...], Floats]:
+def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[SharedError, ...], Floats]:
     """Return the rings whose range biases move the pose, and how: (6, R), right perturbation of T_lidar_target.
 
     The estimate allows for biases delta of its own; beside true ones beta it minimises
     ||S_pose x + S_bias (delta + beta) ||^2 + ||delta||^2.
     """
     assert estimate.shared is not None
-    stack, names = estimate.shared.stack, estimate.shared.shared
-    k = len(names)
+    stack, errors = estimate.shared.stack, estimate.shared.shared
+    k = len(errors)
     by_pose = stack[:, k:-1] @ vec_derivative(estimate.T_target_lidar)
     rows = np.block([[by_pose, stack[:, :k]], [np.zeros((k, 6)), np.eye(k)]])
-    rings = [j for j, name in enumerate(names) if name.startswith("range bias")]
+    rings = [j for j, error in enumerate(errors) if error.kind == RANGE_BIAS]
     biases = np.vstack([stack[:, rings], np.zeros((k, len(rings)))])
     x = np.linalg.lstsq(rows, -biases, rcond=None)[0][:6]
     # (T Exp(x))^-1 = T^-1 Exp(-Ad(T) x)
-    return tuple(names[j] for j in rings), np.asarray(-adjoint(estimate.T_target_lidar) @ x)
+    return tuple(errors[j] for j in rings), np.asarray(-adjoint(estimate.T_target_lidar) @ x)
 
 
 def _image_tasks(session: Session) -> dict[ImageKey, ImageTask]:

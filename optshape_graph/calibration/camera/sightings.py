@@ -11,7 +11,7 @@ from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import PlanarPose
 from optshape_graph.camera import CameraIntrinsics
-from optshape_graph.factors import TemplateMeasurement
+from optshape_graph.factors import SharedError, TemplateMeasurement
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
@@ -27,7 +27,7 @@ class TargetInScan(Value):
         T_lidar_target: (4, 4) estimated pose.
         covariance: (6, 6) of its right perturbation, rotation first.
         measurement: the exact cost of the returns.
-        shared: names of the errors that all scans of the LiDAR have in common: the range biases of its rings.
+        shared: the errors that all scans of the LiDAR have in common: the range biases of its rings.
         shared_effect: (6, k) right perturbation of the pose, rad and metres, by a standard deviation of each.
         edge_inset: median azimuth from a ring's last return to the target's edge, rad; the estimate lets it be what it
             is in each scan.
@@ -40,7 +40,7 @@ class TargetInScan(Value):
     T_lidar_target: Floats
     covariance: Floats
     measurement: TemplateMeasurement
-    shared: tuple[str, ...]
+    shared: tuple[SharedError, ...]
     shared_effect: Floats
     edge_inset: float
     own: Scan

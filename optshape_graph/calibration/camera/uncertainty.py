@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -33,7 +33,7 @@ def uncertainty_of(
     values: gtsam.Values,
     kept: Sequence[int],
     rows: Mapping[tuple[str, str], slice],
-    shifts: Mapping[int, tuple[Sequence[str], Floats]],
+    shifts: Mapping[int, tuple[Sequence[Hashable], Floats]],
 ) -> Uncertainty:
     """Marginalise, and allow for errors that the graph counts once for each scan though the scans share them.
 
@@ -45,8 +45,8 @@ def uncertainty_of(
         values: there.
         kept: those to keep.
         rows: of the result.
-        shifts: by the key of an eliminated variable, names of the shared errors that move it, and how a unit of each
-            changes the right-hand side of its normal equations (6, N), N the number of names.
+        shifts: by the key of an eliminated variable, the N shared errors that move it, and how a unit of each changes
+            the right-hand side of its normal equations (6, N).
     """
     ordering = gtsam.Ordering()
     everything = list(values.keys())
@@ -65,11 +65,11 @@ def uncertainty_of(
     zeros = values.zeroVectors()
     ends = np.cumsum([len(zeros.at(key)) for key in ordered])
     end = dict(zip(ordered, ends.tolist(), strict=True))
-    counted, common = np.zeros((m, m)), dict[str, Floats]()
-    for key, (names, shift) in shifts.items():
+    counted, common = np.zeros((m, m)), dict[Hashable, Floats]()
+    for key, (errors, shift) in shifts.items():
         response = -covariance @ eliminated[end[key] - 6 : end[key]].T @ shift
         counted += response @ response.T
-        for name, column in zip(names, response.T, strict=True):
-            common[name] = common.get(name, np.zeros(m)) + column
+        for error, column in zip(errors, response.T, strict=True):
+            common[error] = common.get(error, np.zeros(m)) + column
     shared = sum((np.outer(F, F) for F in common.values()), np.zeros((m, m)))
     return Uncertainty(information, covariance - counted + shared, rows)

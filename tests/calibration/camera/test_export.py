@@ -21,7 +21,7 @@ def calibration():
 def test_json_has_the_stated_keys(calibration, tmp_path):
     write_json(tmp_path / "a.json", as_document(calibration))
     document = json.loads((tmp_path / "a.json").read_text())
-    assert document["schema"] == "optshape/camera/1"
+    assert document["schema"] == "optshape/camera-calibration/1"
     assert np.allclose(document["T_camera_lidar"], calibration.transform("cam", "lidar")[0])
     assert np.shape(document["covariance"]) == (6, 6)
     assert np.allclose(np.linalg.inv(document["T_camera_lidar"]), document["T_lidar_camera"])
