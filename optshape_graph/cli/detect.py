@@ -14,7 +14,7 @@ from optshape_graph.cli.plots import names_of, plot_option, save_picture
 
 if TYPE_CHECKING:
     from optshape_graph.detection import Detections
-    from optshape_graph.runs import Pool
+    from optshape_graph.runs.workers import Pool
     from optshape_graph.scan import Scan
 
 BYTES = 60_000

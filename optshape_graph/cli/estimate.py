@@ -13,7 +13,7 @@ from optshape_graph.cli.plots import names_of, plot_option, save_picture
 
 if TYPE_CHECKING:
     from optshape_graph.pose import PoseEstimate
-    from optshape_graph.runs import Pool
+    from optshape_graph.runs.workers import Pool
     from optshape_graph.scan import Scan
 
 BYTES = 12_000

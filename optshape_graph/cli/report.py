@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from optshape_graph.cli.console import print_table, say, warn
-from optshape_graph.runs import Journal
+from optshape_graph.runs.journal import Journal
 
 MOST_ROWS = 500
 """Scans that a table shows; of more, how many ended how."""

@@ -21,10 +21,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.edges import EdgePoints
+from optshape_graph.gaussian import log_ndtr
 from optshape_graph.pose.noise import EdgeNoise, outermost_return
 from optshape_graph.se3 import exp, vec, vec_derivative
 from optshape_graph.target import Target

@@ -12,7 +12,6 @@ import hashlib
 import json
 import os
 import re
-import tempfile
 from array import array
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -42,7 +41,7 @@ class Journal:
         self.path, self.count = path, count
         self.finished = 0
         self._places = array("q", [-1]) * count
-        self._file = tempfile.TemporaryFile() if path is None else _locked(path)  # noqa: SIM115  # closed in `close`
+        self._file = _unnamed() if path is None else _locked(path)
         try:
             self._begin({"kind": KIND, "digest": digest({**describe, "tasks": count}), "tasks": count})
         except BaseException:
@@ -154,6 +153,12 @@ def digest(describe: Mapping[str, Any]) -> str:
     """Return a short text that tells plain data, arrays included, from others."""
     text = json.dumps(describe, sort_keys=True, default=lambda value: value.tolist())
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _unnamed() -> BinaryIO:
+    import tempfile
+
+    return tempfile.TemporaryFile()
 
 
 def _locked(path: Path) -> BinaryIO:

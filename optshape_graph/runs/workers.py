@@ -13,11 +13,13 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing import connection, get_context, parent_process
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from optshape_graph.errors import InputError, OptshapeError, missing_extra
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -152,6 +154,8 @@ class _Worker(Generic[T, R]):
 
     def _start(self) -> None:
         """Spawned, not forked: a fork copies the locks of whatever threads the caller runs."""
+        from multiprocessing import get_context
+
         context = get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, self._function), daemon=True)
@@ -163,6 +167,8 @@ class _Worker(Generic[T, R]):
 def _on_processes(
     function: Callable[[T], R], tasks: Iterable[tuple[int, T]], workers: int
 ) -> Iterator[tuple[int, R | Lost]]:
+    from multiprocessing import connection
+
     queue = _Queue(tasks)
     pool: list[_Worker[T, R]] = []
     died = 0  # workers in a row that ended without a result
@@ -210,7 +216,7 @@ def _one_thread_for_children() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _serve(pipe: connection.Connection, function: Callable[[Any], Any]) -> None:
+def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
     """Do tasks until there are no more; end when the process that started this one has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the parent decides
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -226,6 +232,8 @@ def _serve(pipe: connection.Connection, function: Callable[[Any], Any]) -> None:
 
 
 def _end_with_parent() -> None:
+    from multiprocessing import connection, parent_process
+
     parent = parent_process()
     assert parent is not None
     connection.wait([parent.sentinel])

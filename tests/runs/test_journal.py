@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from optshape_graph import InputError
-from optshape_graph.runs import Journal
+from optshape_graph.runs.journal import Journal
 
 WHAT = {"command": "estimate", "version": 1}
 

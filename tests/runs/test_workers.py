@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from optshape_graph import InputError, OptshapeError
-from optshape_graph.runs import Lost, Pool, in_order
+from optshape_graph.runs.workers import Lost, Pool, in_order
 
 
 def square(task: int) -> int:
@@ -87,7 +87,7 @@ def hanging(task: int) -> int:
 def test_no_worker_outlives_its_parent(number: signal.Signals, tmp_path: Path) -> None:
     script = tmp_path / "main.py"
     script.write_text(
-        "from optshape_graph.runs import Pool\nfrom optshape_graph.runs.interruption import stop_on_signals\n"
+        "from optshape_graph.runs.workers import Pool\nfrom optshape_graph.runs.interruption import stop_on_signals\n"
         "from tests.runs.test_workers import hanging, numbered\n"
         "if __name__ == '__main__':\n    stop_on_signals()\n    list(Pool(2).run(hanging, numbered(4)))\n"
     )
