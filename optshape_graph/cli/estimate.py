@@ -26,8 +26,8 @@ BYTES = 12_000
 @click.option("--sensor", help="Built-in name or sensor file. Without it: rings from the cloud, noise of a centimetre.")
 @click.option("--method", type=click.Choice(["global", "paper"]), default="global", show_default=True,
               help="'paper' is the published alternation, for comparison.")  # fmt: skip
-@click.option("--backend", type=click.Choice(["clarabel", "cvxpy"]), default="clarabel", show_default=True,
-              help="What solves the relaxation behind the certificate.")  # fmt: skip
+@click.option("--backend", type=click.Choice(["closed-form", "clarabel", "cvxpy"]), default="closed-form",
+              show_default=True, help="What solves the relaxation behind the certificate.")  # fmt: skip
 @click.option("--json", "json_path", type=FILE, help="Write the results to this file; until it is whole they are kept "
               "in FILE.journal, from which the same command goes on.")  # fmt: skip
 @pool_options

@@ -33,7 +33,7 @@ class EstimateFile:
     target: Target
     sensor: SensorModel | None = None
     method: Method = "global"
-    backend: Backend = "clarabel"
+    backend: Backend = "closed-form"
     then: Callable[[str, Scan, PoseEstimate], Sequence[Path]] | None = None
 
     def __call__(self, path: str) -> Outcome:
