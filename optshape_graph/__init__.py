@@ -15,6 +15,7 @@ from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Chessboard, Target
 
 if TYPE_CHECKING:
+    from optshape_graph.calibration.mocap import MocapCalibration, calibrate_mocap
     from optshape_graph.detection import Detections, detect_targets
     from optshape_graph.io import load_sensor, load_session, load_target, read_scan
     from optshape_graph.mapping import Map, load_map, save_map
@@ -25,7 +26,9 @@ __version__ = "0.1.0"
 _HOME = {
     "Detections": "detection",
     "Map": "mapping",
+    "MocapCalibration": "calibration.mocap",
     "PoseEstimate": "pose",
+    "calibrate_mocap": "calibration.mocap",
     "detect_targets": "detection",
     "estimate_pose": "pose",
     "load_map": "mapping",
@@ -44,6 +47,7 @@ __all__ = [
     "InputError",
     "Map",
     "MissingExtraError",
+    "MocapCalibration",
     "OptshapeError",
     "PoseEstimate",
     "Scan",
@@ -51,6 +55,7 @@ __all__ = [
     "Target",
     "UnobservableError",
     "__version__",
+    "calibrate_mocap",
     "detect_targets",
     "estimate_pose",
     "load_map",
