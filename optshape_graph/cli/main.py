@@ -11,6 +11,7 @@ import optshape_graph
 from optshape_graph.cli.lazy import LazyGroup
 
 COMMANDS = {
+    "info": "optshape_graph.cli.info",
     "estimate": "optshape_graph.cli.estimate",
     "detect": "optshape_graph.cli.detect",
     "calibrate": "optshape_graph.cli.calibrate",
@@ -27,6 +28,7 @@ COMMANDS = {
 """Command name to the module that defines it as `command`; imported when it is called."""
 
 HELP = {
+    "info": "Say what a file is: form, fields, units, rings, times, topics, the sensor.",
     "estimate": "Estimate a target's pose in scans that hold its returns.",
     "detect": "Find targets in full scans, and tell them apart by shape.",
     "calibrate": "Calibrate a LiDAR to motion capture, or to a camera.",
