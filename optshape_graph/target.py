@@ -162,11 +162,6 @@ class Target(Value):
         """(S, 4, 4) of `symmetries`, the identity first: T_lidar_target S is the same placement, named otherwise."""
         return frozen(transform(rotation([[angle, 0.0, 0.0] for angle in self.symmetries])))
 
-    @cached_property
-    def symmetry_rotations(self) -> tuple[Floats, ...]:
-        """Rotations (3, 3) of `symmetries`."""
-        return tuple(S[:3, :3] for S in self.symmetry_transforms)
-
     def nearest_symmetry(self, T_lidar_target: Floats, predicted: Floats) -> Ints:
         """Return the number (...) of the symmetry S for which T S is turned least from a predicted pose.
 

@@ -29,7 +29,7 @@ In a larger graph `SummaryFactor` links T_world_target and T_world_lidar, `Verte
 """
 
 from optshape_graph.factors._callback import CheckedFactor
-from optshape_graph.factors.augmented import (
+from optshape_graph.factors.sensor_parameters import (
     AugmentedMeasurement,
     SensorParameterFactor,
     azimuth_directions,

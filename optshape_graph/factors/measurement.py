@@ -113,9 +113,8 @@ class TemplateMeasurement:
     T_target_lidar: Floats
 
     def __post_init__(self) -> None:
-        for field, shape in (("L", (12, 12)), ("b", (12,))):
-            object.__setattr__(self, field, frozen(checked(field, getattr(self, field), shape)))
-        object.__setattr__(self, "T_target_lidar", as_transform(self.T_target_lidar, "T_target_lidar"))
+        for field, shape in (("L", (12, 12)), ("b", (12,)), ("T_target_lidar", (4, 4))):
+            object.__setattr__(self, field, frozen(checked(field, as_matrix(getattr(self, field)), shape)))
         if not np.isfinite(self.c):
             raise InputError(f"measurement c is {self.c}; expected a finite number")
 

@@ -26,7 +26,7 @@ from optshape_graph.mapping.keyframes import (
 )
 from optshape_graph.mapping.motion import deskew, estimate_moving
 from optshape_graph.mapping.shapes import shape_measurement
-from optshape_graph.mapping.sighting import Sighting
+from optshape_graph.mapping.track import Sighting
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import exp, inverse

@@ -123,7 +123,10 @@ class Folder:
             where = files[0].parent
             return [_named(words, where, f"{stamp_file}:{number}") for number, words in lines]
         if len(lines) != len(files):
-            raise InputError(f"{stamp_file}: {len(lines)} stamps for {len(files)} files in {files[0].parent}")
+            raise InputError(
+                f"{stamp_file}: {len(lines)} stamps for {len(files)} files in {files[0].parent}; expected one for "
+                "each file, in the order of their names, or lines of a stamp and a file name"
+            )
         return [(_stamp(words[0], f"{stamp_file}:{n}"), file) for (n, words), file in zip(lines, files, strict=True)]
 
     def _inside(self, file: Path) -> Path:
@@ -142,13 +145,18 @@ def _stamp_file(folder: Path, top: Path) -> Path | None:
 def _data(folder: Path) -> list[Path]:
     """Files that timestamps belong to, by name, numbers in it by their size."""
     data = folder / "data" if (folder / "data").is_dir() else folder
-    return sorted((file for file in data.iterdir() if file.is_file() and file.name not in STAMP_FILES), key=_natural)
+    return sorted((file for file in data.iterdir() if file.is_file() and file.name not in STAMP_FILES), key=_order)
 
 
-def _natural(file: Path) -> list[tuple[int, str]]:
-    """A key that sorts numbers in names by their size: scan_2 comes before scan_10."""
-    return [(int(part), part) if part.isdecimal() and len(part) < 40 else (-1, part)
-            for part in re.split(r"(\d+)", file.name)]  # fmt: skip
+def _order(file: Path) -> tuple[object, ...]:
+    """Sort names as numbers are: scan_2 before scan_10, and 1.25 before 1.5 where the whole name is a number."""
+    if re.fullmatch(r"\d+(\.\d+)?", file.stem):
+        return (0, float(file.stem), file.name)
+    return (1, *((1, int(part), "") if part.isdigit() else (0, 0, part) for part in _digits(file.name)), file.name)
+
+
+def _digits(name: str) -> list[str]:
+    return [part for part in re.split(r"([0-9]+)", name) if part]
 
 
 def _lines(file: Path) -> list[tuple[int, list[str]]]:
