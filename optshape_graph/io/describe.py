@@ -188,8 +188,8 @@ def _size(item: Any) -> Any:
 def _sensor_facts(sensor: Any) -> Facts:
     elevation = np.degrees(sensor.elevations)
     step = "not stated" if sensor.azimuth_step is None else f"{np.degrees(sensor.azimuth_step):.4f} deg"
-    return {"name": sensor.name, "rings": sensor.n_rings, "elevations": f"{elevation[0]:.3f} to {elevation[-1]:.3f} deg",
-            "azimuth step": step}  # fmt: skip
+    span = f"{elevation[0]:.3f} to {elevation[-1]:.3f} deg"
+    return {"name": sensor.name, "rings": sensor.n_rings, "elevations": span, "azimuth step": step}
 
 
 def _maker_table(path: Path) -> Facts | None:
