@@ -15,7 +15,7 @@ from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.sessions import Session
 from optshape_graph.mapping.motion import twist_between
-from optshape_graph.scan import Scan
+from optshape_graph.scan import Scan, rings_missing
 from optshape_graph.se3 import PoseLike, angle, as_transform, exp, inverse
 
 
@@ -141,6 +141,9 @@ def keyframes(
 
     Without odometry every scan that the policy's time allows is one. A scan before the odometry begins or after it
     ends is skipped and counted.
+
+    Raises:
+        InputError: the first scan has no rings: no target would be found.
     """
     last: tuple[float, Floats] | None = None
     before: Floats | None = None
@@ -150,6 +153,8 @@ def keyframes(
         if not len(scan):
             progress.skipped["empty"] += 1
             continue
+        if scan.ring is None and not progress.keyframes:
+            raise rings_missing(scan)
         if odometry is None:
             if last is None or not np.isfinite(policy.seconds) or stamp - last[0] >= policy.seconds:
                 last = stamp, np.eye(4)
