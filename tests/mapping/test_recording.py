@@ -96,12 +96,12 @@ def test_odometry_between_poses_and_beside_them():
     poses = np.tile(np.eye(4), (len(times), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = R, t
     track = OdometryTrack([Stamped(float(s), T) for s, T in zip(times, poses, strict=True)], mounted)
-    assert track.at(-0.1) is None
+    assert track.sweep(-0.1) is None
     for stamp in (0.0, 0.1, 0.25, 1.6):
-        found = track.at(stamp)
+        found = track.sweep(stamp)
         assert found is not None
         R, t = motion.at(np.array([stamp]))
         expected = np.eye(4)
         expected[:3, :3], expected[:3, 3] = R[0], t[0]
-        np.testing.assert_allclose(found[0], expected @ mounted, atol=1e-9)
-    assert track.at(5.0) is None
+        np.testing.assert_allclose(found.T_odometry_lidar, expected @ mounted, atol=1e-9)
+    assert track.sweep(5.0) is None
