@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 @click.option("--sensor", help="Built-in name or sensor file. Without it: rings from the cloud, noise of a centimetre.")
 @click.option("--method", type=click.Choice(["global", "paper"]), default="global", show_default=True,
               help="'paper' is the published alternation, for comparison.")  # fmt: skip
-@click.option("--backend", type=click.Choice(["clarabel", "cvxpy"]), default="clarabel", show_default=True,
-              help="What solves the relaxation behind the certificate.")  # fmt: skip
+@click.option("--backend", type=click.Choice(["closed-form", "clarabel", "cvxpy"]), default="closed-form",
+              show_default=True, help="What solves the relaxation behind the certificate.")  # fmt: skip
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
 @plot_option("for every scan the fit, edges, residuals and vertices, and the runner-up where ambiguous")
 @click.pass_context

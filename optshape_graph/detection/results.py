@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -25,6 +25,10 @@ class Evidence:
             below a box on the floor, none do.
         stepped: of the ends of its rings, those where the range jumps back, or nothing returns: where a surface
             bends away, or something stands before it, there is no edge to be seen.
+        apart: of the rays just beyond the side where it is least, those that do not return from something that begins
+            at that side: the next face of a box, the floor.
+        seen: of its outline, what is within the field of view.
+        distinct: probability that it is not one of as many surfaces of other shapes: the ends of few rings fit any.
     """
 
     contained: float
@@ -33,11 +37,14 @@ class Evidence:
     solid: float
     free: float
     stepped: float
+    apart: float
+    seen: float
+    distinct: float
 
     @property
     def score(self) -> float:
         """Product of the shares."""
-        return self.contained * self.covered * self.edged * self.solid * self.free * self.stepped
+        return float(np.prod([getattr(self, field.name) for field in fields(self)]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +62,8 @@ class Detection:
         margin: difference of log likelihoods to the rival; infinite where there is none.
         probabilities: by name, of each of the targets asked for that fits, had all been as likely before; the likeliest
             first. They sum to 1: that it is one of them is what `evidence` is for.
-        status: "ok"; "ambiguous" where another of the targets, or another pose of this one, is not ruled out; "failed"
-            where the target is there, but its returns leave its pose undetermined.
+        status: "ok"; "ambiguous" where another of the targets, another pose of this one, or a surface of another shape
+            is not ruled out; "failed" where the target is there, but its returns leave its pose undetermined.
         reason: why not "ok", else empty.
     """
 
@@ -87,6 +94,7 @@ class Rejection:
 
     Attributes:
         reason: what speaks against it, with numbers.
+        passed: how many of the tests it passed: of its size, its rings, how they end, its pose, and its evidence.
         target: name of the target that it was compared with; empty: with all.
         centre: (3,) metres, LiDAR frame.
         n_returns: its returns.
@@ -95,6 +103,7 @@ class Rejection:
     """
 
     reason: str
+    passed: int
     target: str
     centre: Floats
     n_returns: int
@@ -111,7 +120,7 @@ class Detections:
 
     Attributes:
         found: targets, the best score first; empty: none.
-        rejected: surfaces of about a target's size that are none.
+        rejected: surfaces of about a target's size that are none, the one that passed the most tests first.
     """
 
     found: tuple[Detection, ...]

@@ -93,26 +93,34 @@ class OrderedScan:
             centre: (3,) a point of the plane, metres.
         """
         cos_incidence = float(plane_normal @ centre / np.linalg.norm(centre))
-        return self.options.band_sigmas * float(
-            np.hypot(self.resolution.off_plane * cos_incidence, self.options.flatness)
-        )
+        return self.options.band_sigmas * float(np.hypot(self.resolution.off_plane * cos_incidence, self.options.warp))
 
     def near(self, centre: Floats, reach: float) -> Ints:
-        """Return the rows of the returns within `reach` of a point (3,), metres, ascending.
+        """Return the rows of the returns within `reach` of a point (3,), metres, ascending."""
+        rows = self._window(centre, reach)
+        return np.asarray(rows[((self.points[rows] - centre) ** 2).sum(axis=1) < reach**2])
 
-        Each ring is searched only where the point can be reached.
-        """
+    def toward(self, centre: Floats, reach: float) -> Ints:
+        """Return the rows of the returns whose rays pass within `reach` of a point (3,), metres, ascending."""
+        rows, away = self._window(centre, reach), float(np.linalg.norm(centre))
+        if reach >= away:
+            return rows
+        cosine = np.sqrt(1.0 - (reach / away) ** 2)
+        return np.asarray(rows[self.points[rows] @ centre >= cosine * away * self.range[rows]])
+
+    def _window(self, centre: Floats, reach: float) -> Ints:
+        """Rows of the returns whose azimuths are those of the points within `reach` of a point, ring by ring."""
         away = float(np.hypot(centre[0], centre[1]))
         rows = np.arange(len(self))
-        if reach < away:
-            middle, half = np.arctan2(centre[1], centre[0]), np.arcsin(reach / away) + 1e-9
-            windows = [np.clip([middle - half + turn, middle + half + turn], -np.pi, np.pi) for turn in _TURNS]
-            ends = np.array([window for window in windows if window[0] < window[1]])
-            places = _position(np.arange(len(self.elevations))[:, None, None], ends)
-            first = np.searchsorted(self._positions, places[..., 0].ravel(), "left")
-            last = np.searchsorted(self._positions, places[..., 1].ravel(), "right")
-            rows = np.concatenate([rows[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)])
-        return np.asarray(rows[((self.points[rows] - centre) ** 2).sum(axis=1) < reach**2])
+        if reach >= away:
+            return rows
+        middle, half = np.arctan2(centre[1], centre[0]), np.arcsin(reach / away) + 1e-9
+        windows = [np.clip([middle - half + turn, middle + half + turn], -np.pi, np.pi) for turn in _TURNS]
+        ends = np.array([window for window in windows if window[0] < window[1]])
+        places = _position(np.arange(len(self.elevations))[:, None, None], ends)
+        first = np.searchsorted(self._positions, places[..., 0].ravel(), "left")
+        last = np.searchsorted(self._positions, places[..., 1].ravel(), "right")
+        return np.concatenate([rows[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)])
 
 
 def order_scan(scan: Scan, options: DetectionOptions) -> OrderedScan:

@@ -228,8 +228,8 @@ class Step:
     """The Gaussian posterior of a step of C sets of K unknowns, and the Gaussians that stand for the intervals.
 
     Attributes:
-        mean: (C, K).
-        covariance: (C, K, K).
+        mean: (C, K), in units of the unknowns: rad, metres, beam widths.
+        covariance: (C, K, K), in those units squared.
         precision: (C, M) of the Gaussian in the residual that stands for each interval, 1/m2.
         information: (C, M) its mean times its precision, 1/m.
         log_evidence: (C,) logarithm of the probability of the edge points.
@@ -264,7 +264,7 @@ def posterior_step(
         J: (C, M, K) derivative of the residuals r by the unknowns.
         r: (C, M) residuals at step 0, metres, insets left out.
         inset: (C, M) distance to the boundary to start from, rad, and
-        spread: (C, M) its variance, rad2.
+        spread: (C, M) its variance, square rad.
         sweeps: at most so many updates.
         settled: relative change of every precision below which more updates change nothing.
     """

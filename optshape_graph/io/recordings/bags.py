@@ -70,6 +70,9 @@ class Bag:
         Raises:
             InputError: the bag cannot be read.
         """
+        if topic.type == messages.PATH:
+            yield from self._latest_path(topic, skipped)
+            return
         name = topic.name.rsplit(":", 2)[0] if topic.type in messages.TRANSFORMS else topic.name
         for number, data in enumerate(self._raw(name, skipped)):
             where = f"{self.path} {name} message {number}"
@@ -79,6 +82,16 @@ class Bag:
                 skipped.add(problem, where)
                 continue
             yield from values
+
+    def _latest_path(self, topic: Topic, skipped: Skipped) -> Iterator[Stamped[Floats]]:
+        """Yield the poses of the last path: each repeats the one before, and has a pose more."""
+        latest: list[Stamped[Floats]] = []
+        for number, data in enumerate(self._raw(topic.name, skipped)):
+            try:
+                latest = messages.decode_path(self.ros, data)
+            except BadMessage as problem:
+                skipped.add(problem, f"{self.path} {topic.name} message {number}")
+        yield from latest
 
     def _decode(self, topic: Topic, data: bytes, where: str, sensor: SensorModel | None) -> list[Stamped[Any]]:
         if topic.kind == "scan":

@@ -13,6 +13,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.io.recordings.bags import Bag, is_bag
 from optshape_graph.io.recordings.folders import Folder
 from optshape_graph.io.recordings.images import Image
+from optshape_graph.io.recordings.packets import Capture, is_capture
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped, Stream
 from optshape_graph.io.recordings.topics import Kind, Mounting, Topic, chained, choose, listed
 from optshape_graph.scan import Scan
@@ -23,7 +24,7 @@ SURVEYED = 10
 
 
 class Recording:
-    """A ROS 1 or ROS 2 bag, an mcap file, or a folder of clouds with timestamps.
+    """A ROS 1 or ROS 2 bag, an mcap file, captured packets, or a folder of clouds with timestamps.
 
     A topic left out is the only one of its kind. Streams read as they are iterated, one message at a time.
 
@@ -39,13 +40,15 @@ class Recording:
         if not self.path.exists():
             raise InputError(f"{self.path}: no such file or folder")
         if is_bag(self.path):
-            self._source: Bag | Folder = Bag(self.path)
+            self._source: Bag | Folder | Capture = Bag(self.path)
+        elif is_capture(self.path):
+            self._source = Capture(self.path)
         elif self.path.is_dir():
             self._source = Folder(self.path)
         else:
             raise InputError(
-                f"{self.path}: expected a .bag, .mcap or .db3 file, a folder of a ROS 2 bag (with metadata.yaml), "
-                "or a folder of clouds with timestamps.txt"
+                f"{self.path}: expected a .bag, .mcap, .db3 or .pcap file, a folder of a ROS 2 bag (with "
+                "metadata.yaml), or a folder of clouds with timestamps.txt"
             )
 
     @property
