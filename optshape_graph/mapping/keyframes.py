@@ -44,6 +44,10 @@ HALF_REVOLUTION = 0.05
 """Seconds before and after the stamp of a scan whose returns have no times: over those its motion is looked at."""
 
 
+NO_ODOMETRY = "no odometry at its time"
+"""Why a scan is skipped that the odometry does not reach."""
+
+
 class Keyframe(NamedTuple):
     """A scan to be used, with where odometry has it.
 
@@ -68,13 +72,19 @@ class Progress:
         scans: read.
         keyframes: of those used.
         sightings: targets seen in them.
+        landmarks: in the map.
         skipped: scans that were not used though they should have been, by reason.
+        span: seconds, of the first and the last scan read; None before there is one.
+        expected: number of scans that the recording says there are, or None.
     """
 
     scans: int = 0
     keyframes: int = 0
     sightings: int = 0
+    landmarks: int = 0
     skipped: Counter[str] = field(default_factory=Counter)
+    span: tuple[float, float] | None = None
+    expected: int | None = None
 
 
 def keyframes(
@@ -90,6 +100,7 @@ def keyframes(
     distance = 0.0
     for stamp, scan in ((item.stamp, item.value) for item in scans):
         progress.scans += 1
+        progress.span = (stamp if progress.span is None else progress.span[0], stamp)
         if not len(scan):
             progress.skipped["empty"] += 1
             continue
@@ -101,7 +112,7 @@ def keyframes(
             continue
         sweep = odometry.sweep(stamp, *_spread(scan))
         if sweep is None:
-            progress.skipped["no odometry at its time"] += 1
+            progress.skipped[NO_ODOMETRY] += 1
             continue
         T = sweep.T_odometry_lidar
         if before is not None:

@@ -82,9 +82,9 @@ class Sweep:
         middle = T[np.abs(s).argmin()]
         xi = difference(middle, T)
         powers = s[:, None] ** np.arange(min(DEGREE, len(s) - 1) + 1)
-        coefficients, *_ = np.linalg.lstsq(powers, xi)
+        coefficients: Floats = np.asarray(np.linalg.lstsq(powers, xi)[0], np.float64)
         residual = xi - powers @ coefficients
-        covariance = np.asarray(np.linalg.inv(powers.T @ powers), float)
+        covariance: Floats = np.asarray(np.linalg.inv(powers.T @ powers), np.float64)
         misfit = float(np.square(residual[:, :3]).sum()), float(np.square(residual[:, 3:]).sum())
         return cls(middle, coefficients, covariance, misfit=misfit, freedom=len(s) - powers.shape[1])
 
