@@ -92,3 +92,12 @@ def without_duplicates(scan: Scan) -> tuple[Scan, int]:
     keep = np.ones(len(scan), dtype=bool)
     keep[order[1:][again]] = False
     return scan.select(keep), int(again.sum())
+
+
+def rings_missing(scan: Scan) -> InputError:
+    """Return the error that a scan, in which targets are to be found, has no rings; it says what can be done."""
+    return InputError(
+        f"{scan.name}: its returns have no rings, and targets are found ring by ring; expected a ring for each, or the "
+        "sensor whose table tells (--sensor). Livox and flash LiDARs have none: cut the target's returns out and use "
+        "`optshape estimate`"
+    )

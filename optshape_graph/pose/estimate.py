@@ -29,7 +29,7 @@ def estimate_pose(
     scan: Scan,
     target: Target,
     method: Method = "global",
-    backend: Backend = "clarabel",
+    backend: Backend = "closed-form",
     options: PoseOptions = PoseOptions(),
 ) -> PoseEstimate:
     """Estimate the pose of a target from its returns.
@@ -41,7 +41,8 @@ def estimate_pose(
         method: "global" enumerates every consistent association of edge points to edges, finds the posterior of the
             pose under the best of them, and certifies it; of a cloud without rings it finds the posterior over all
             poses that contain the returns. "paper" is the alternation of Huang, Clark and Grizzle, for comparison.
-        backend: what solves the relaxation: "clarabel", or "cvxpy" as the modelling layer above it.
+        backend: what finds the certificate's multipliers: "closed-form", with "clarabel" where that does not do;
+            "clarabel", which solves the relaxation; "cvxpy", the modelling layer above it.
         options: assumptions and thresholds.
 
     Returns:
@@ -96,6 +97,7 @@ def conclude(found: Finding, duplicates: int, backend: Backend, options: PoseOpt
         n_returns=len(found.returns),
         unobservable=unobservable,
         fit=fit,
+        scan=found.returns.name,
     )
 
 

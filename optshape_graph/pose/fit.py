@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.pose.noise import EdgeNoise
 from optshape_graph.pose.outline import Coverage, Ends, coverage, in_plane
@@ -26,8 +26,8 @@ RIM = 0.06
 """Width of a frame, metres: those of boards and panels are 3 to 8 cm wide."""
 
 
-@dataclass(frozen=True)
-class Flag:
+@dataclass(frozen=True, eq=False, repr=False)
+class Flag(Value):
     """Something that the model doesn't explain.
 
     Attributes:
@@ -41,8 +41,8 @@ class Flag:
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Value):
     """How well the returns fit.
 
     Attributes:
@@ -107,13 +107,14 @@ class Fit:
     def to_dict(self) -> dict[str, Any]:
         """Return what `optshape/estimate` files hold under `fit`."""
         plain = {name: value for name, value in vars(self).items() if name not in ("surface", "flags", "warnings")}
+        plain["summary"] = self.summary
         surface = {"shape": self.surface.shape, "rms_m": self.surface.size, "probability": self.surface.probability}
         flags = [vars(flag) for flag in self.flags]
         return {**plain, "surface": surface, "flags": flags, "warnings": list(self.warnings)}
 
 
-@dataclass(frozen=True, eq=False)
-class Evidence:
+@dataclass(frozen=True, eq=False, repr=False)
+class Evidence(Value):
     """What a fit is judged by.
 
     Attributes:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaincc
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.edges import EdgePoints, relative_azimuth
 from optshape_graph.factors._rows import triangular
 from optshape_graph.pose.likelihood import chords
@@ -27,8 +27,8 @@ _HUBER = 1.5
 _REWEIGHTINGS = 5
 
 
-@dataclass(frozen=True, eq=False)
-class Ends:
+@dataclass(frozen=True, eq=False, repr=False)
+class Ends(Value):
     """Ring ends against the edges, after the pose in the plane and their common offset were fitted to them robustly.
 
     Attributes:
@@ -139,8 +139,8 @@ def _strain(rows: Floats) -> tuple[float, float]:
     return float(np.hypot(*x)), f_tail(F, 2, freedom)
 
 
-@dataclass(frozen=True, eq=False)
-class Coverage:
+@dataclass(frozen=True, eq=False, repr=False)
+class Coverage(Value):
     """Where the returns are and are not, against the outline.
 
     Attributes:

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import betainc
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.factors.static import SURFACE, BiasedMeasurement, SharedError
 from optshape_graph.pose.association import ReturnsPlane
 from optshape_graph.pose.noise import PlaneReturns
@@ -39,8 +39,8 @@ FEWEST_OF_RIM = 10
 _HINGES = [(a, d) for a in np.radians(np.arange(0.0, 180.0, 22.5)) for d in (-0.6, -0.2, 0.2, 0.6)]
 
 
-@dataclass(frozen=True, eq=False)
-class PlaneResiduals:
+@dataclass(frozen=True, eq=False, repr=False)
+class PlaneResiduals(Value):
     """Distances of returns from a plane near theirs, those that are none of it left out of what is asked of them.
 
     Attributes:
@@ -120,8 +120,8 @@ class PlaneResiduals:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Regression:
+@dataclass(frozen=True, eq=False, repr=False)
+class Regression(Value):
     """Columns and residuals after the base columns have been taken out of both.
 
     Attributes:
@@ -154,8 +154,8 @@ class Regression:
         return min(1.0, p * len(gains)), abs(slope) * float(np.sqrt(max(self.plain[k, k], 0.0)))
 
 
-@dataclass(frozen=True)
-class Surface:
+@dataclass(frozen=True, eq=False, repr=False)
+class Surface(Value):
     """A shape in the distances from the plane.
 
     Attributes:
@@ -218,8 +218,8 @@ def find_surface(residuals: PlaneResiduals) -> Surface:
     return Surface(shape, size if p < SEEN else 0.0, p)
 
 
-@dataclass(frozen=True)
-class Sheets:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sheets(Value):
     """Signs of two revolutions, the target moved in between.
 
     Attributes:
