@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.edges import azimuth_spacing
 from optshape_graph.errors import EstimationError
@@ -34,8 +34,8 @@ class Resolution:
     beam: float
 
 
-@dataclass(frozen=True, eq=False)
-class OrderedScan:
+@dataclass(frozen=True, eq=False, repr=False)
+class OrderedScan(Value):
     """A scan's returns sorted by ring and azimuth, and cut into segments.
 
     Attributes:
@@ -199,8 +199,8 @@ def _starts(ring: Ints, azimuth: Floats, ranges: Floats, resolution: Resolution,
     return np.asarray(apart | (off_line > options.jump_sigmas))
 
 
-@dataclass(frozen=True, eq=False)
-class Runs:
+@dataclass(frozen=True, eq=False, repr=False)
+class Runs(Value):
     """Returns of one surface, cut into runs along their rings.
 
     Attributes:
@@ -242,8 +242,8 @@ def ring_ends(scan: OrderedScan, rows: Ints) -> Ints:
     return np.asarray(runs.rows[np.concatenate([first, last])])
 
 
-@dataclass(frozen=True, eq=False)
-class Borders:
+@dataclass(frozen=True, eq=False, repr=False)
+class Borders(Value):
     """How the rings on a surface end, at both ends of each. Where neither holds, the surface bends away.
 
     Attributes:

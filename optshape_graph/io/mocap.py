@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.io._isolated import read_isolated
 from optshape_graph.io.files import read_bytes
@@ -33,8 +33,8 @@ _LOG = logging.getLogger(__name__)
 Rows = list[list[str]]
 
 
-@dataclass(frozen=True, eq=False)
-class MocapRecording:
+@dataclass(frozen=True, eq=False, repr=False)
+class MocapRecording(Value):
     """Positions of markers over time.
 
     Attributes:
