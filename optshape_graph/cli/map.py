@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from optshape_graph.cli.options import outside_option
+from optshape_graph.cli.options import FILE, POSITIVE, Number, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -38,30 +38,33 @@ MANY = 60
 @click.option("--odometry", metavar="TOPIC|FILE",
               help="Topic of poses, or a file of them (TUM, EuRoC, Motive); `none` for none.  "
               "[default: the only topic of poses, if there is one]")  # fmt: skip
-@click.option("--mounting", nargs=6, type=float, metavar="X Y Z ROLL PITCH YAW",
+@click.option("--mounting", nargs=6, type=Number(-1e4, 1e4), metavar="X Y Z ROLL PITCH YAW",
               help="The LiDAR on the body that the odometry is of: metres and degrees.  "
               "[default: the recording's static transforms]")  # fmt: skip
 @click.option("--one-each", is_flag=True, help="There is one of each target: its name is the landmark's.")
-@click.option("--known", type=click.Path(path_type=Path), help="Map to start from: surveyed landmarks, or made before.")
-@click.option("--odometry-noise", nargs=2, type=float, default=(0.02, 0.2), show_default=True, metavar="M DEG",
+@click.option("--known", type=FILE, help="Map to start from: surveyed landmarks, or made before.")
+@click.option("--odometry-noise", nargs=2, type=Number(1e-6, 100.0), default=(0.02, 0.2), show_default=True, metavar="M DEG",
               help="Standard deviations per square root of a metre.")  # fmt: skip
-@click.option("--keyframe", nargs=2, type=float, default=(0.5, 10.0), show_default=True, metavar="M DEG",
+@click.option("--keyframe", nargs=2, type=Number(0.0, 1e4), default=(0.5, 10.0), show_default=True, metavar="M DEG",
               help="Use a scan after having moved or turned this far.")  # fmt: skip
-@click.option("--confirmations", type=click.IntRange(min=1), help="Sightings that must agree on a new landmark.  "
+@click.option("--confirmations", type=click.IntRange(1, 1000), help="Sightings that must agree on a new landmark.  "
               "[default: 2; 1 without odometry]")  # fmt: skip
-@click.option("--lag", type=float, metavar="SECONDS", help="Keep only the latest poses in the graph: bounded memory.")
+@click.option(
+    "--lag", type=POSITIVE, metavar="SECONDS", help="Keep only the latest poses in the graph: bounded memory."
+)
 @click.option("--batch/--no-batch", default=True, show_default=True, help="Solve for everything at once at the end.")
-@click.option("--as-built", type=float, metavar="METRES",
+@click.option("--as-built", type=Number(1e-6, 1.0), metavar="METRES",
               help="Refine the targets' vertices, which were built to this standard deviation.")  # fmt: skip
 @click.option(
     "--workers",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, 1024),
     help="Processes that detect targets.  [default: one for each core, for recordings of many scans]",
 )
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the map (optshape/map/1).")
-@click.option("--tum", "tum_file", type=click.Path(path_type=Path), help="Write the trajectory.")
-@click.option("--kitti", "kitti_file", type=click.Path(path_type=Path), help="Write the trajectory.")
-@click.option("--g2o", "g2o_file", type=click.Path(path_type=Path), help="Write the pose graph.")
+@click.option("--json", "json_file", type=FILE, help="Write the map (optshape/map/1).")
+@click.option("--tum", "tum_file", type=FILE, help="Write the trajectory.")
+@click.option("--kitti", "kitti_file", type=FILE, help="Write the trajectory.")
+@click.option("--g2o", "g2o_file", type=FILE, help="Write the pose graph.")
+@force_option
 @plot_option("the map from above, and the structure of its graph")
 @outside_option
 def command(
@@ -85,6 +88,7 @@ def command(
     tum_file: Path | None,
     kitti_file: Path | None,
     g2o_file: Path | None,
+    force: bool,
     plots: Path | None,
 ) -> None:
     """Map the targets that SOURCE saw, and where it saw them from.
@@ -97,6 +101,7 @@ def command(
     """
     from math import radians
 
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.mapping import LandmarkSlam, load_map, save_map, solve_batch
     from optshape_graph.mapping.recording import (
         KeyframePolicy,
@@ -107,8 +112,14 @@ def command(
         observe_all,
     )
 
-    if as_built is not None and (lag is not None or not batch):
-        raise click.UsageError("--as-built needs the batch solution, so no --lag and no --no-batch")
+    for option, given in (("--as-built", as_built), ("--g2o", g2o_file)):
+        if given is not None and (lag is not None or not batch):
+            raise click.UsageError(f"{option} needs the batch solution, so no --lag and no --no-batch")
+    outputs = Outputs([source, known, odometry, sensor_name, *target_names], force=force)
+    outputs.file("--json", json_file, "map", replace=True)
+    for option, file in (("--tum", tum_file), ("--kitti", kitti_file), ("--g2o", g2o_file)):
+        outputs.file(option, file)
+    outputs.folder("--plot", plots)
     scans, targets, track, expected, skipped = _open(
         source, target_names, sensor_name, scan_topic, odometry, mounting, allow_outside
     )
@@ -145,7 +156,7 @@ def command(
         from optshape_graph.mapping.batch import pose_graph
 
         if graph is None:
-            raise click.UsageError("--g2o needs the batch solution, and at least one landmark")
+            raise EstimationError(f"{g2o_file}: not written, for no landmark was mapped")
         write_g2o(g2o_file, pose_graph(graph))
     _say(result, slam, progress, skipped())
     if plots:

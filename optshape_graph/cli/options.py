@@ -26,12 +26,15 @@ class Number(click.ParamType):  # type: ignore[type-arg]  # generic in newer ver
         least: the number is at least this.
         most: it is at most this.
         open: leave out the least itself.
+        finite: refuse infinity.
     """
 
     name = "number"
 
-    def __init__(self, least: float = -math.inf, most: float = math.inf, *, open: bool = False) -> None:
-        self.least, self.most, self.open = least, most, open
+    def __init__(
+        self, least: float = -math.inf, most: float = math.inf, *, open: bool = False, finite: bool = True
+    ) -> None:
+        self.least, self.most, self.open, self.finite = least, most, open, finite
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number that a text is."""
@@ -40,7 +43,7 @@ class Number(click.ParamType):  # type: ignore[type-arg]  # generic in newer ver
         except (TypeError, ValueError):
             number = math.nan
         above = number > self.least if self.open else number >= self.least
-        if not (above and number <= self.most and math.isfinite(number)):
+        if not (above and number <= self.most and (math.isfinite(number) or not self.finite)):
             self.fail(f"expected a number {self._range()}, found '{value}'", param, ctx)
         return number
 

@@ -100,6 +100,23 @@ class Outputs:
         """
         self.file(option, path, replace=False)
 
+    def picture(self, option: str, path: Path | None) -> None:
+        """Check a picture: an older one of that name is replaced, an input never.
+
+        Args:
+            option: that names it, for messages.
+            path: of the picture; None: none is written. Its folder is made.
+
+        Raises:
+            InputError: it cannot be written, or is an input.
+        """
+        if path is not None:
+            self.folder(f"{option} (folder)", path.parent)
+            if path.parent.is_dir():
+                forced, self._force = self._force, True
+                self.file(option, path)
+                self._force = forced
+
     def is_input(self, path: Path) -> bool:
         """Whether a file is one that the command reads."""
         return _identity(path) in self._inputs

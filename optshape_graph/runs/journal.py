@@ -14,6 +14,7 @@ import os
 import re
 from array import array
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -147,6 +148,27 @@ class Journal:
 def journal_of(output: Path) -> Path:
     """Return the path of the journal of an output file: beside it."""
     return output.with_name(f"{output.name}.journal")
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a folder for one run, while the block runs.
+
+    Args:
+        folder: that the run writes to.
+
+    Raises:
+        InputError: another run holds it.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise InputError(f"{folder}: in use: another run writes to it") from error
+        yield
+    finally:
+        os.close(handle)
 
 
 def digest(describe: Mapping[str, Any]) -> str:
