@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.factors._rows import checked, in_plane, outer_rows, triangular
+from optshape_graph.factors._rows import checked, in_plane, marginalised, outer_rows, root, triangular
 from optshape_graph.se3 import PoseLike, as_matrix, as_transform, exp, inverse, vec, vec_derivative
 
 
@@ -202,6 +202,18 @@ class TemplateMeasurement(Value):
         B = np.eye(4) if T_b_lidar is None else as_matrix(T_b_lidar)
         M = substitution(A, B)
         return self.from_stack(self.stack @ M, self.n_rows, inverse(A) @ self.T_target_lidar @ inverse(B))
+
+    def loosened(self, covariance: ArrayLike) -> TemplateMeasurement:
+        """Return the measurement as one of T_target_lidar T, T being the identity but for an error of its own.
+
+        It is for a LiDAR whose motion since the returns is not exactly known.
+
+        Args:
+            covariance: (6, 6) of T's tangent vector, rotation first.
+        """
+        columns = np.zeros((13, 6))
+        columns[:12] = self.jacobian(self.T_target_lidar) @ root(covariance)
+        return self.from_stack(marginalised(columns, self.stack), self.n_rows, self.T_target_lidar)
 
     def residual(self, T_target_lidar: PoseLike) -> Floats:
         """Return L z + b (12,) at a pose (4, 4)."""

@@ -81,12 +81,21 @@ class Sighting(Value):
             measurements = (best, best.substituted(best.T_target_lidar @ other))
         return cls(estimate.target, measurements, landmark, shape, _biased(estimate) if biases else None)
 
-    def moved(self, T_lidar_then: Floats) -> Sighting:
+    def moved(self, T_lidar_then: Floats, covariance: Floats | None = None) -> Sighting:
         """Return the sighting as one from another pose of the LiDAR.
 
         Args:
             T_lidar_then: (4, 4) the pose that it was made from, in the frame of the one that it is to be from.
+            covariance: (6, 6) of its right perturbation, rotation first; None: it is known exactly.
         """
+        if covariance is not None:
+            loosened = replace(
+                self,
+                measurements=tuple(m.loosened(covariance) for m in self.measurements),
+                shape=None if self.shape is None else self.shape.loosened(covariance, self.target.vertices),
+                biased=None if self.biased is None else self.biased.loosened(covariance),
+            )
+            return loosened.moved(T_lidar_then)
         shape = self.shape
         if shape is not None:  # planes map by the transposed pose: H_then^T = T^T H^T
             U = shape.U.reshape(len(shape.U), -1, 4) @ T_lidar_then.T
