@@ -16,6 +16,7 @@ from optshape_graph.names import shown
 from optshape_graph.runs.interruption import Stopped, stop_on_signals
 
 COMMANDS = {
+    "info": "optshape_graph.cli.info",
     "estimate": "optshape_graph.cli.estimate",
     "detect": "optshape_graph.cli.detect",
     "calibrate": "optshape_graph.cli.calibrate",
@@ -32,6 +33,7 @@ COMMANDS = {
 """Command name to the module that defines it as `command`; imported when it is called."""
 
 HELP = {
+    "info": "Say what a file is: form, fields, units, rings, times, topics, the sensor.",
     "estimate": "Estimate a target's pose in scans that hold its returns.",
     "detect": "Find targets in full scans, and tell them apart by shape.",
     "calibrate": "Calibrate a LiDAR to motion capture, or to a camera.",

@@ -33,6 +33,7 @@ class Bag:
     Attributes:
         path: file, or folder of a ROS 2 bag.
         ros: 1 or 2: how messages are serialised.
+        span: seconds of the first and the last message, as recorded; None: there is none.
 
     Raises:
         InputError: not a readable bag.
@@ -44,6 +45,7 @@ class Bag:
         if path.is_dir():
             _check_inside(path)
         with self._open() as reader:
+            self.span = (reader.start_time / 1e9, reader.end_time / 1e9) if reader.message_count else None
             self._recorded = tuple(
                 Topic(name, messages.kind_of(info.msgtype or ""), info.msgtype or "of several types", info.msgcount)
                 for name, info in reader.topics.items()

@@ -72,8 +72,8 @@ class Capture:
         found = ", ".join(f"{count} of {size} bytes" for size, count in sizes.most_common(4)) or "none"
         raise InputError(
             f"{self.path}: packets ({found}) of no LiDAR that is read here: Velodyne's have {PACKET_BYTES} bytes; "
-            f"an Ouster's need its metadata beside them ({self.path.with_suffix('.json').name}); others: export PCD or a bag "
-            "with the maker's viewer"
+            f"an Ouster's need its metadata beside them ({self.path.with_suffix('.json').name}); others: export "
+            "PCD or a bag with the maker's viewer"
         )
 
     @cached_property
