@@ -102,6 +102,11 @@ def print_transform(name: str, meaning: str, T: NDArray[np.float64], covariance:
     click.echo(f"  sd: rotation {rotation} deg, translation {translation} mm\n")
 
 
+def terminal() -> bool:
+    """Whether standard error is a terminal that can move its cursor."""
+    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+
+
 @contextmanager
 def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     """Show on standard error how far the block is: a bar on a terminal, else a line a minute.
@@ -112,7 +117,7 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     Yields:
         A function to call with how much is done, and of how much.
     """
-    if not sys.stderr.isatty() or os.environ.get("TERM") == "dumb":
+    if not terminal():
         yield _lines_of_progress(what)
         return
     from rich.console import Console

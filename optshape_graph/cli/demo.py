@@ -45,10 +45,9 @@ def command(ctx: click.Context, output: Path, force: bool) -> int:
     from optshape_graph.pose import estimate_pose
 
     outputs = Outputs(force=force)
-    outputs.folder("--output", output)
-    outputs.file("--output", output / "mocap.json", "mocap")
-    for name in ("fit.png", "errors.png", "placements.png", "markers.png"):
-        outputs.file("--output", output / name, replace=(output / "mocap.json").exists())
+    outputs.folder("--output", output, ["mocap.json"], "mocap")
+    if not (output / "mocap.json").exists():  # then pictures are nobody's older demo
+        outputs.folder("--output", output, ["fit.png", "errors.png", "placements.png", "markers.png"], replace=False)
     session = load_session(demo_folder() / "session.yaml")
     try:
         output.mkdir(parents=True, exist_ok=True)

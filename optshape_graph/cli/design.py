@@ -244,10 +244,16 @@ def study(
 
     new_figure()  # whether there is matplotlib: better known before the study than after it
     outputs = Outputs([sensor], force=force)
-    outputs.folder("--output", output)
-    for name, form in (("study.json", "design-study"), ("study.png", "")):
-        outputs.file("--output", output / name, form, replace=(output / "shapes" / "sweep.json").exists())
-    metres = [DISTANCE.convert(text, None, None) for text in distances.split(",")]
+    if (output / "shapes" / "sweep.json").exists():  # an older study is replaced
+        outputs.folder("--output", output)
+    else:
+        outputs.folder("--output", output, ["study.json", "study.png"], replace=False)
+    try:
+        metres = [DISTANCE.convert(text, None, None) for text in distances.split(",")]
+    except click.BadParameter as error:
+        raise click.BadParameter(
+            f"expected numbers with commas between, found '{distances}': {error.message}"
+        ) from error
     targets = [load_target(name) for name in STUDIED] + random_shapes(shapes, seed)
     poses = random_placements(metres, placements, seed)
     with progress_bar("shapes") as progress:

@@ -58,10 +58,9 @@ def command(
 
     outputs = Outputs([reference, *folder.glob("*/*")], force=force)
     outputs.file("--json", json_path, "mocap-evaluation")
-    outputs.folder("--output", output)
+    older = _is_table(output / "mocap.csv")  # then it is replaced
+    outputs.folder("--output", output, () if older else ["mocap.csv", "mocap.parquet"], replace=False)
     outputs.folder("--plot", plots)
-    for name in ("mocap.csv", "mocap.parquet"):
-        outputs.file("--output", output / name, replace=_is_table(output / "mocap.csv"))
     check_parquet()
     output.mkdir(parents=True, exist_ok=True)
     sessions = find_sessions(folder, allow_outside=allow_outside)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,7 @@ def force_option(function: Callable[..., Any]) -> Callable[..., Any]:
 def pool_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--workers`, `--dask` and `--dask-tls`; the command takes what they make as `pool`, None for the default."""
 
+    @wraps(function)
     def with_pool(*args: Any, workers: int | None, dask: str | None, dask_tls: Any, **kwargs: Any) -> Any:
         if dask is None and dask_tls is not None:
             raise click.UsageError("--dask-tls goes with --dask")
@@ -84,8 +86,6 @@ def pool_options(function: Callable[..., Any]) -> Callable[..., Any]:
         pool = None if workers is None and dask is None else Pool(workers or 1, dask, dask_tls)
         return function(*args, pool=pool, **kwargs)
 
-    with_pool.__doc__ = function.__doc__
-    with_pool.__click_params__ = getattr(function, "__click_params__", [])  # type: ignore[attr-defined]  # click's own
     for option in (
         click.option("--dask-tls", nargs=3, type=click.Path(exists=True, dir_okay=False, path_type=Path),
                      metavar="CA CERT KEY", help="Files (PEM) for TLS with it: authority, certificate, key."),

@@ -68,15 +68,20 @@ class Outputs:
             raise InputError(f"{option} {path}: cannot be written (Permission denied)")
         _check_folder(option, path.parent, bytes_needed)
 
-    def folder(self, option: str, path: Path | None) -> None:
-        """Check a folder, which is made if it is not there.
+    def folder(
+        self, option: str, path: Path | None, files: Iterable[str] = (), form: str = "", *, replace: bool = True
+    ) -> None:
+        """Check a folder, which is made if it is not there, and what will be written into it.
 
         Args:
             option: that names it, for messages.
             path: of the folder; None: nothing is written.
+            files: names of the files in it.
+            form: kind of our own that these are.
+            replace: whether older ones may be replaced unasked.
 
         Raises:
-            InputError: it cannot be written, or is a file.
+            InputError: it cannot be written, or is a file; or one of the files would be lost.
         """
         if path is None:
             return
@@ -87,6 +92,9 @@ class Outputs:
         if not place.is_dir():
             raise InputError(f"{option} {path}: {place} is a file, not a folder")
         _check_folder(option, place, LEAST_ROOM)
+        for name in files:
+            if _exists(path / name):
+                self.file(option, path / name, form, replace=replace)
 
     def new(self, option: str, path: Path) -> None:
         """Check a file that a command makes beside others: it is written over only with `force`.
@@ -111,11 +119,9 @@ class Outputs:
             InputError: it cannot be written, or is an input.
         """
         if path is not None:
-            self.folder(f"{option} (folder)", path.parent)
-            if path.parent.is_dir():
-                forced, self._force = self._force, True
-                self.file(option, path)
-                self._force = forced
+            forced, self._force = self._force, True
+            self.folder(option, path.parent, [path.name])
+            self._force = forced
 
     def is_input(self, path: Path) -> bool:
         """Whether a file is one that the command reads."""
@@ -126,7 +132,7 @@ class Outputs:
             place = path.resolve()
         except (OSError, ValueError, RuntimeError) as error:
             raise InputError(f"{option} {str(path)!r}: not the name of a file ({error})") from error
-        if place in self._named and self._named[place] != option:
+        if place in self._named and (self._named[place] != option):
             raise InputError(f"{option} {path}: is the output of {self._named[place]}, too")
         self._named[place] = option
 
