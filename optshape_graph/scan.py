@@ -8,14 +8,14 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from optshape_graph._arrays import Floats, Ints, Value, frozen, shortened
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.sensor import SensorModel
 
 Values = TypeVar("Values", Floats | None, Ints | None)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class Scan(Value):
     """Returns of one LiDAR, of one revolution or part of it.
 
@@ -59,7 +59,7 @@ class Scan(Value):
 
     def __repr__(self) -> str:
         rings = "" if self.ring is None else f", {len(np.unique(self.ring))} rings"
-        return shortened(f"Scan('{self.name}', {len(self)} returns{rings})")
+        return f"Scan('{self.name}', {len(self)} returns{rings})"
 
     def select(self, index: NDArray[np.bool_] | NDArray[np.int64]) -> Scan:
         """Return the returns that a mask (N,) or an index array (M,) picks, with all their fields."""
@@ -79,7 +79,7 @@ class Scan(Value):
 def rings_missing(scan: Scan) -> InputError:
     """Return the error that a scan, in which targets are to be found, has no rings; it says what can be done."""
     return InputError(
-        f"{scan.name}: its returns have no rings, and targets are found ring by ring; expected a ring for each "
-        "return, or the sensor whose table tells (--sensor). Livox and flash LiDARs have none: cut the target's returns out and "
-        "use `optshape estimate`"
+        f"{scan.name}: its returns have no rings, and targets are found ring by ring; expected a ring for each, or the "
+        "sensor whose table tells (--sensor). Livox and flash LiDARs have none: cut the target's returns out and use "
+        "`optshape estimate`"
     )

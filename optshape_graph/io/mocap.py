@@ -305,7 +305,7 @@ def read_trc(path: str | Path) -> MocapRecording:
     """
     path = Path(path)
     rows = _table(path, "\t")
-    names = next((k for k, row in enumerate(rows) if row[0].lower().startswith("frame")), None)
+    names = next((k for k, row in enumerate(rows) if row and row[0].lower().startswith("frame")), None)
     if names is None or names < 2:
         raise InputError(f"{path}: expected the lines of a TRC file: its header, and 'Frame#', 'Time' and the markers")
     header = {key.lower(): [value] for key, value in zip(rows[names - 2], rows[names - 1], strict=False) if key}

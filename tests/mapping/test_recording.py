@@ -84,7 +84,7 @@ def test_bad_scans_are_counted_and_nothing_else_is_lost():
 
 
 def test_keyframes_leave_out_a_robot_at_rest():
-    scan = Scan(np.ones((5, 3)))
+    scan = Scan(np.ones((5, 3)), np.arange(5))
     scans = [Stamped(0.1 * k, scan) for k in range(50)]
     poses = [Stamped(0.1 * k, at(max(0.0, 0.1 * (k - 20)), 0.0, 0.0)) for k in range(50)]
     progress = Progress()

@@ -42,7 +42,7 @@ def test_las(tmp_path: Path, suffix: str, point_format: int) -> None:
 
 
 def test_las_of_a_map_is_refused(tmp_path: Path) -> None:
-    las(tmp_path / "a.las", XYZ + [455_000, 5_411_000, 110])
+    las(tmp_path / "a.las", XYZ + np.array([455_000, 5_411_000, 110]))
     with pytest.raises(
         InputError, match=r"a\.las: .*coordinates of a map \(UTM, \.\.\.\); expected metres from the LiDAR"
     ):
