@@ -71,6 +71,9 @@ class MapResult:
         state = "" if not self.problems else f", {len(self.problems)} problems"
         return f"MapResult({len(self.map.landmarks)} landmarks, {len(self.trajectory)} poses{state})"
 
+    def _repr_html_(self) -> str:
+        return self.map._repr_html_()
+
     @property
     def trajectory(self) -> Trajectory:
         """T_world_lidar over time."""
