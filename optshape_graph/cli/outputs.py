@@ -37,6 +37,7 @@ class Outputs:
         self._inputs = {key: Path(path) for path in inputs if path is not None and (key := _identity(Path(path)))}
         self._force = force
         self._named: dict[Path, str] = {}
+        self._files: set[Path] = set()
 
     def file(
         self, option: str, path: Path | None, form: str = "", *, bytes_needed: int = LEAST_ROOM, replace: bool = True
@@ -56,6 +57,7 @@ class Outputs:
         if path is None:
             return
         self._check_name(option, path)
+        self._files.add(path.resolve())
         if path.is_dir():
             raise InputError(f"{option} {path}: expected the name of a file, found a folder")
         if (identity := _identity(path)) in self._inputs:
@@ -132,7 +134,9 @@ class Outputs:
             place = path.resolve()
         except (OSError, ValueError, RuntimeError) as error:
             raise InputError(f"{option} {str(path)!r}: not the name of a file ({error})") from error
-        if place in self._named and (self._named[place] != option):
+        if inside := self._files.intersection(place.parents):
+            raise InputError(f"{option} {path}: leads into {inside.pop()}, which is the output of another option")
+        if place in self._named and self._named[place] != option:
             raise InputError(f"{option} {path}: is the output of {self._named[place]}, too")
         self._named[place] = option
 

@@ -93,12 +93,15 @@ def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
 
     Raises:
         MissingExtraError: matplotlib is absent.
+        InputError: its settings are wrong.
     """
     try:
         from matplotlib.figure import Figure
         from matplotlib.patches import Polygon, Rectangle
     except ImportError as cause:
         raise missing_extra("matplotlib", "design", cause) from cause
+    except ValueError as error:  # of its settings, the environment's included
+        raise InputError(f"matplotlib does not start: {error} (is the variable MPLBACKEND wrong?)") from error
     width, height = sheet.size
     x, y = sheet.origin
     figure = Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH))
@@ -135,6 +138,7 @@ def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
                 color=COLOURS[text.layer],
                 fontsize=text.height / CAP_HEIGHT * POINTS_PER_MM,
                 family="DejaVu Sans",
+                parse_math=False,  # a name may have dollars
             )
             if clip is not None:
                 artist.set_clip_path(clip)
