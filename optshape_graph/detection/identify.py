@@ -7,20 +7,20 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.detection.candidates import Candidate, Size
-from optshape_graph.detection.judge import edge_margin, judge, objections, returns_of, undoubted
-from optshape_graph.detection.outline import Boundary, OutlineFit, first_look
+from optshape_graph.detection.judge import edge_margin, judge, objections, outline_error, returns_of, undoubted
+from optshape_graph.detection.outline import Boundary, OutlineFit, first_look, look_again
 from optshape_graph.detection.results import Detection, Evidence, Rejection
-from optshape_graph.detection.segments import OrderedScan, ring_ends
+from optshape_graph.detection.segments import OrderedScan, find_borders, ring_ends
 from optshape_graph.errors import EstimationError
 from optshape_graph.pose import PoseEstimate, estimate_pose
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class _Fit(Value):
     """One target fitted to a candidate: rows of the ordered scan taken for its returns, pose, evidence."""
 
     rows: Ints
@@ -38,6 +38,8 @@ class _Misfit:
 
 PASSED_AT_FIRST = 3
 """Tests before a target's outline is laid over a candidate: of size, number of rings, and how they end."""
+
+_LOOK_SD = 0.005  # standard deviation of the place that a look finds, metres
 
 
 def identify(
@@ -139,30 +141,35 @@ def _first_looks(
 
 
 def _fit(scan: Scan, ordered: OrderedScan, candidate: Candidate, look: OutlineFit, target: Target) -> _Fit | _Misfit:
-    """Estimate the pose, and choose the returns again by its outline, until the ends of the rings stay the same."""
-    margin = edge_margin(ordered, target, look.T_lidar_target, np.inf)
-    inside, passed = returns_of(ordered, target, look.T_lidar_target, margin), PASSED_AT_FIRST + 1
+    """Choose the returns by the outline, until their rings end where they did, and estimate the pose they give."""
+    rows, passed = _returns_at(ordered, target, look), PASSED_AT_FIRST + 1
     for _ in range(ordered.options.rounds):
-        rows = inside
-        try:
-            estimate = estimate_pose(scan.select(ordered.index[rows]), target, options=ordered.options.pose)
-        except EstimationError as error:
-            return _Misfit(str(error), passed)
-        pose_sd = float(np.sqrt(np.linalg.eigvalsh(estimate.covariance[3:, 3:])[-1]))
-        margin = edge_margin(ordered, target, estimate.T_lidar_target, pose_sd)
-        inside = returns_of(ordered, target, estimate.T_lidar_target, margin)
-        if len(inside) == 0:
-            return _Misfit("none of its returns lies inside the outline at the pose they give", passed)
-        if np.array_equal(ring_ends(ordered, inside), ring_ends(ordered, rows)):
+        if len(rows) == 0:
+            return _Misfit("none of its returns lies inside the outline laid over it", passed)
+        ends, hidden = ring_ends(ordered, rows), find_borders(ordered, rows).hidden
+        look = look_again(Boundary.of(ordered, rows, candidate.plane, hidden), target, look.T_lidar_target)
+        rows = _returns_at(ordered, target, look)
+        if np.array_equal(ring_ends(ordered, rows), ends):
             break
+    try:
+        estimate = estimate_pose(scan.select(ordered.index[rows]), target, options=ordered.options.pose)
+    except EstimationError as error:
+        return _Misfit(str(error), passed)
+    margin = edge_margin(ordered, target, estimate.T_lidar_target, outline_error(estimate))
     # A pose that is not determined is no objection to the target being there.
     if estimate.status == "failed" and not estimate.unobservable:
         return _Misfit(estimate.reason, passed)
-    evidence = judge(ordered, candidate, inside, estimate, margin)
+    evidence = judge(ordered, candidate, rows, estimate, margin)
     against = objections(evidence, ordered.options.least_evidence)
     if against:
         return _Misfit("; ".join(against), passed + 1 + len(fields(evidence)) - len(against))
-    return _Fit(inside, estimate, evidence)
+    return _Fit(rows, estimate, evidence)
+
+
+def _returns_at(ordered: OrderedScan, target: Target, look: OutlineFit) -> Ints:
+    """(N,) rows of the returns inside an outline, and as far outside as the target blooms."""
+    margin = edge_margin(ordered, target, look.T_lidar_target, _LOOK_SD) + max(look.shift, 0.0)
+    return returns_of(ordered, target, look.T_lidar_target, margin)
 
 
 def _likelihoods(scan: Scan, ordered: OrderedScan, fits: Sequence[_Fit]) -> Floats:

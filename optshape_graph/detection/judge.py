@@ -30,11 +30,21 @@ def edge_margin(scan: OrderedScan, target: Target, T_lidar_target: Floats, pose_
         scan: the ordered scan.
         target: the template.
         T_lidar_target: (4, 4).
-        pose_sd: standard deviation of its place, metres.
+        pose_sd: standard deviation of the outline's place, metres.
     """
     distance = float(np.linalg.norm(T_lidar_target[:3, 3]))
     sampling = distance * (0.5 * scan.resolution.step + scan.resolution.beam)
     return sampling + scan.resolution.range_noise + min(2.0 * pose_sd, 0.1 * float(target.offsets.min()))
+
+
+def outline_error(estimate: PoseEstimate) -> float:
+    """Return the largest standard deviation of the outline's place among the rays, metres.
+
+    An error of the plane moves the outline and the returns along the same rays, so the plane counts as given.
+    """
+    within = np.ix_([0, 4, 5], [0, 4, 5])  # the turn about the normal, y and z
+    given = np.linalg.inv(np.linalg.inv(estimate.covariance)[within])
+    return float(np.sqrt(np.linalg.eigvalsh(given[1:, 1:])[-1]))
 
 
 def returns_of(scan: OrderedScan, target: Target, T_lidar_target: Floats, margin: float) -> Ints:
@@ -63,8 +73,7 @@ def undoubted(scan: OrderedScan, estimate: PoseEstimate, rows: Ints) -> Bools:
     normal, distance = estimate.plane[:3], -estimate.plane[3]
     on_plane = points * (distance / (points @ normal))[:, None]
     yz = apply(T, on_plane)[:, 1:]
-    error = float(np.sqrt(np.linalg.eigvalsh(estimate.covariance[4:, 4:])[-1]))
-    inset = min(error, 0.1 * float(estimate.target.offsets.min()))
+    inset = min(outline_error(estimate), 0.1 * float(estimate.target.offsets.min()))
     behind = points @ normal - distance
     return np.asarray(estimate.target.contains(yz, -inset) & (np.abs(behind) <= _CENTRAL * estimate.plane_rms))
 

@@ -87,7 +87,7 @@ class DetectionOptions:
             free=0.75,
             stepped=0.75,
             apart=0.5,
-            seen=0.6,
+            seen=0.4,
             distinct=1e-4,
         )
     )

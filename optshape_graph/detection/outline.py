@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.detection.segments import OrderedScan, ring_ends
 from optshape_graph.pose.association import ReturnsPlane
 from optshape_graph.target import Target
@@ -25,8 +25,8 @@ _PLACE, _SHIFT = 0.2, 0.03  # prior standard deviations of the place and of the 
 _FITTED = 4  # numbers that are fitted: turn, place, shift
 
 
-@dataclass(frozen=True, eq=False)
-class Boundary:
+@dataclass(frozen=True, eq=False, repr=False)
+class Boundary(Value):
     """Where a surface ends, by the ends of its rings.
 
     Attributes:
@@ -67,17 +67,19 @@ class Boundary:
         return cls(plane, (points + outward - plane.centre) @ plane.axes[1:].T, np.sqrt(variance))
 
 
-@dataclass(frozen=True, eq=False)
-class OutlineFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class OutlineFit(Value):
     """A target's outline laid over a boundary.
 
     Attributes:
         T_lidar_target: (4, 4).
+        shift: of all ends across the edges, metres: outwards where the target blooms.
         edged: share of the ends within two standard deviations of the outline.
         log_odds: of this shape against any other of its size, whose ends lie anywhere within a fifth of it.
     """
 
     T_lidar_target: Floats
+    shift: float
     edged: float
     log_odds: float
 
@@ -151,7 +153,7 @@ def _work_out(
     plane, T = boundary.plane, np.eye(4)
     T[:3, :3] = (axes @ plane.axes).T
     T[:3, 3] = plane.centre + middle @ plane.axes[1:] - T[:3, 1:3] @ t[best]
-    return OutlineFit(T, float((np.abs(off[best]) < 2.0 * sd).mean()), float(log_odds[best]))
+    return OutlineFit(T, float(shift[best]), float((np.abs(off[best]) < 2.0 * sd).mean()), float(log_odds[best]))
 
 
 def rectangle_log_odds(boundary: Boundary, size: float) -> float:

@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import UnobservableError
 from optshape_graph.factors import summarise
 from optshape_graph.graph import Chain, Chains, Inverse, Solution
@@ -23,8 +23,8 @@ from optshape_graph.mapping.track import MappingProblem, Match
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class Keys:
+@dataclass(frozen=True, eq=False, repr=False)
+class Keys(Value):
     """Variables: poses X, landmarks L, as-built vertices V, and the biases B of LiDARs' rings.
 
     Attributes:
@@ -64,8 +64,8 @@ class Keys:
         return [Inverse(self.landmarks[match.landmark]), self.poses[track][match.pose]]
 
 
-@dataclass(frozen=True, eq=False)
-class Residual:
+@dataclass(frozen=True, eq=False, repr=False)
+class Residual(Value):
     """How well a match fits.
 
     Attributes:
@@ -95,8 +95,8 @@ class Judged(Protocol):
         """(m,) weight that the loss gives each."""
 
 
-@dataclass(frozen=True, eq=False)
-class BatchSolution:
+@dataclass(frozen=True, eq=False, repr=False)
+class BatchSolution(Value):
     """A solved map.
 
     Attributes:
@@ -104,14 +104,14 @@ class BatchSolution:
         solution: of all variables.
         keys: of the poses of each track, and of the landmarks.
         templates: of the landmarks, their vertices as built where those were refined.
-        judged: the matches of each term, with what the solution's model of it says of them.
+        judged: numbers of the matches of each term, with what the solution's model of it says of them.
     """
 
     problem: MappingProblem
     solution: Solution
     keys: Keys
     templates: Mapping[str, Target]
-    judged: Sequence[tuple[Sequence[Match], Judged]]
+    judged: Sequence[tuple[Sequence[int], Judged]]
 
     def __repr__(self) -> str:
         poses, landmarks = sum(map(len, self.keys.poses)), len(self.keys.landmarks)
@@ -148,13 +148,13 @@ class BatchSolution:
     def residuals(self) -> tuple[Residual, ...]:
         """How well each match fits, in the order of tracks and matches."""
         found = {
-            match: (float(chi2), float(weight))
-            for matches, model in self.judged
-            for match, chi2, weight in zip(matches, model.chi2, model.weight, strict=True)
+            k: (float(chi2), float(weight))
+            for numbers, model in self.judged
+            for k, chi2, weight in zip(numbers, model.chi2, model.weight, strict=True)
         }
         return tuple(
-            Residual(self.problem.tracks[t].name, match.pose, match.landmark, *found[match])
-            for t, match in self.problem.matches
+            Residual(self.problem.tracks[t].name, match.pose, match.landmark, *found[k])
+            for k, (t, match) in enumerate(self.problem.matches)
         )
 
     @property

@@ -8,9 +8,16 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.factors import BiasedMeasurement, ShapeMeasurement, Summary, TemplateMeasurement, summarise
+from optshape_graph.factors import (
+    RANGE_BIAS,
+    BiasedMeasurement,
+    ShapeMeasurement,
+    Summary,
+    TemplateMeasurement,
+    summarise,
+)
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
 from optshape_graph.pose import PoseEstimate
@@ -21,8 +28,8 @@ LOOSEST = 10.0
 """Standard deviation, rad or metres, beyond which a measurement does not determine a pose."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sighting:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sighting(Value):
     """One target in one scan.
 
     Attributes:
@@ -70,10 +77,10 @@ class Sighting:
             biases: whether to keep `biased`, so that a batch can tell what all scans have in common: some kilobytes.
 
         Raises:
-            InputError: the estimate failed.
+            InputError: the estimate failed or is doubtful.
         """
-        if estimate.status == "failed":
-            raise InputError(f"the estimate of target '{estimate.target.name}' failed ({estimate.reason})")
+        if not estimate.usable:
+            raise InputError(f"the estimate of target '{estimate.target.name}' is {estimate.status}: {estimate.reason}")
         best = estimate.measurement
         measurements: tuple[TemplateMeasurement, ...] = (best,)
         other = estimate.ambiguity.T_lidar_target
@@ -81,12 +88,21 @@ class Sighting:
             measurements = (best, best.substituted(best.T_target_lidar @ other))
         return cls(estimate.target, measurements, landmark, shape, _biased(estimate) if biases else None)
 
-    def moved(self, T_lidar_then: Floats) -> Sighting:
+    def moved(self, T_lidar_then: Floats, covariance: Floats | None = None) -> Sighting:
         """Return the sighting as one from another pose of the LiDAR.
 
         Args:
             T_lidar_then: (4, 4) the pose that it was made from, in the frame of the one that it is to be from.
+            covariance: (6, 6) of its right perturbation, rotation first; None: it is known exactly.
         """
+        if covariance is not None:
+            loosened = replace(
+                self,
+                measurements=tuple(m.loosened(covariance) for m in self.measurements),
+                shape=None if self.shape is None else self.shape.loosened(covariance, self.target.vertices),
+                biased=None if self.biased is None else self.biased.loosened(covariance),
+            )
+            return loosened.moved(T_lidar_then)
         shape = self.shape
         if shape is not None:  # planes map by the transposed pose: H_then^T = T^T H^T
             U = shape.U.reshape(len(shape.U), -1, 4) @ T_lidar_then.T
@@ -132,8 +148,8 @@ class Sighting:
         return inverse(self.summaries[0].T_target_lidar)
 
 
-@dataclass(frozen=True, eq=False)
-class Odometry:
+@dataclass(frozen=True, eq=False, repr=False)
+class Odometry(Value):
     """Motion between two poses of one session.
 
     Attributes:
@@ -185,8 +201,8 @@ class Match:
         return self.sighting.biased_as(self.hypothesis)
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
+@dataclass(frozen=True, eq=False, repr=False)
+class Start(Value):
     """Where a session starts.
 
     Attributes:
@@ -204,8 +220,8 @@ class Start:
         object.__setattr__(self, "T_world_lidar", as_transform(self.T_world_lidar, "start"))
 
 
-@dataclass(frozen=True, eq=False)
-class Track:
+@dataclass(frozen=True, eq=False, repr=False)
+class Track(Value):
     """One session: a robot's poses and what was measured from them.
 
     Attributes:
@@ -225,8 +241,8 @@ class Track:
     start: Start | None
 
 
-@dataclass(frozen=True, eq=False)
-class MappingProblem:
+@dataclass(frozen=True, eq=False, repr=False)
+class MappingProblem(Value):
     """All that there is to solve for in one map.
 
     Attributes:
@@ -254,7 +270,7 @@ def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
     """
     if estimate.shared is None:
         return None
-    biased = estimate.shared.without([error for error in estimate.shared.shared if error.ring is None])
+    biased = estimate.shared.without([e for e in estimate.shared.shared if e.kind != RANGE_BIAS or e.ring is None])
     own = np.trace(biased.marginal(1.0).information(estimate.T_target_lidar))
     scale = float(np.sqrt(np.trace(estimate.measurement.information()) / own))
     return replace(biased, stack=biased.stack * min(scale, 1.0))
