@@ -68,6 +68,7 @@ def identify(
             fits.append(fit)
     if not fits:
         return None, rejected
+    fits = [fit for fit in fits if fit.estimate.status != "doubtful"] or fits
     likelihoods = _likelihoods(scan, ordered, fits)
     order = np.argsort(-likelihoods, kind="stable")
     best = fits[order[0]]
@@ -151,11 +152,16 @@ def _fit(scan: Scan, ordered: OrderedScan, candidate: Candidate, look: OutlineFi
         rows = _returns_at(ordered, target, look)
         if np.array_equal(ring_ends(ordered, rows), ends):
             break
-    try:
-        estimate = estimate_pose(scan.select(ordered.index[rows]), target, options=ordered.options.pose)
-    except EstimationError as error:
-        return _Misfit(str(error), passed)
-    margin = edge_margin(ordered, target, estimate.T_lidar_target, outline_error(estimate))
+    for _ in range(ordered.options.rounds):
+        try:
+            estimate = estimate_pose(scan.select(ordered.index[rows]), target, options=ordered.options.pose)
+        except EstimationError as error:
+            return _Misfit(str(error), passed)
+        margin = edge_margin(ordered, target, estimate.T_lidar_target, outline_error(estimate))
+        again = returns_of(ordered, target, estimate.T_lidar_target, margin)
+        if estimate.status != "failed" or estimate.unobservable or len(again) == 0 or np.array_equal(again, rows):
+            break
+        rows = again  # near a rim that blooms, what the pose takes for the target's own may suit it better
     # A pose that is not determined is no objection to the target being there.
     if estimate.status == "failed" and not estimate.unobservable:
         return _Misfit(estimate.reason, passed)
@@ -168,7 +174,7 @@ def _fit(scan: Scan, ordered: OrderedScan, candidate: Candidate, look: OutlineFi
 
 def _returns_at(ordered: OrderedScan, target: Target, look: OutlineFit) -> Ints:
     """(N,) rows of the returns inside an outline, and as far outside as the target blooms."""
-    margin = edge_margin(ordered, target, look.T_lidar_target, _LOOK_SD) + max(look.shift, 0.0)
+    margin = edge_margin(ordered, target, look.T_lidar_target, _LOOK_SD)
     return returns_of(ordered, target, look.T_lidar_target, margin)
 
 

@@ -82,7 +82,7 @@ class DetectionOptions:
         default=Evidence(
             contained=0.8,
             covered=0.6,
-            edged=0.8,
+            edged=0.75,
             solid=0.9,
             free=0.75,
             stepped=0.75,
