@@ -77,12 +77,10 @@ def identify(
     status, reason = best.estimate.status, best.estimate.reason
     share = np.exp(likelihoods[order] - np.logaddexp.reduce(likelihoods))
     probabilities = {fits[k].estimate.target.name: float(p) for k, p in zip(order, share, strict=True)}
-    evidence, options = best.evidence, ordered.options
-    if status == "ok" and evidence.seen < options.certain_seen:
-        status, reason = "ambiguous", f"only {evidence.seen:.0%} of its outline can be seen"
-    elif status == "ok" and evidence.distinct < options.certain_distinct:
-        n_rings = len(np.unique(ordered.ring[best.rows]))
-        status, reason = "ambiguous", f"the ends of its {n_rings} rings would fit surfaces of other shapes too"
+    options = ordered.options
+    unsure = objections(best.evidence, options.sure_evidence)
+    if status == "ok" and unsure:
+        status, reason = "ambiguous", f"it may be something else: {unsure[0]}"
     if rival is not None and margin < options.pose.ambiguity_margin:
         likely = ", ".join(f"'{name}' {100 * p:.2g} %" for name, p in probabilities.items() if p > 1e-3)
         status, reason = "ambiguous", f"its returns do not tell the targets apart: {likely}"

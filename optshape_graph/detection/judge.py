@@ -136,7 +136,7 @@ def objections(evidence: Evidence, least: Evidence) -> list[str]:
         "stepped": not_stepped(evidence.stepped),
         "apart": f"at one side {1 - evidence.apart:.0%} of the rays just beyond meet something that begins there",
         "seen": f"only {evidence.seen:.0%} of its outline can be seen",
-        "distinct": "surfaces of other shapes look like it",
+        "distinct": "its ring ends would fit a surface of another shape too",
     }
     reached = {
         field.name: getattr(evidence, field.name) / (getattr(least, field.name) or 1e-9) for field in fields(least)
