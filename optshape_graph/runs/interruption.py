@@ -34,6 +34,8 @@ class Stopped(BaseException):
 
 def stop_on_signals() -> None:
     """Raise `Stopped` in the main thread at the first signal; end the process soon after, and at the second at once."""
+    if threading.current_thread() is not threading.main_thread():
+        return  # only the main thread can have handlers: whoever runs this in another has their own
     seen: list[int] = []
 
     def stop(number: int, frame: FrameType | None) -> None:
