@@ -104,8 +104,8 @@ def snapshot(folder: Path) -> dict[str, str]:
     return found
 
 
-def changed(before: dict[str, str], after: dict[str, str], allowed: str) -> list[str]:
-    """Files that were changed, removed, or made outside an allowed folder; and what is half a file anywhere."""
+def changed(before: dict[str, str], after: dict[str, str], allowed: tuple[str, ...]) -> list[str]:
+    """Files that were changed, removed, or made outside the allowed folders; and what is half a file anywhere."""
     wrong = [name for name, content in before.items() if after.get(name) != content and not name.startswith(allowed)]
     wrong += [name for name in after if name not in before and not name.startswith(allowed)]
     return wrong + [name for name in after if name.endswith(".tmp")]
