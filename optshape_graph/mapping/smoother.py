@@ -41,7 +41,7 @@ class Smoother:
 
     def __init__(self, lag: float | None = None) -> None:
         self.lag = lag
-        self._isam = _new_isam()
+        self._isam = _new_isam(lag)
         self._factors: dict[int, gtsam.NonlinearFactor] = {}  # by handle, which outlives ISAM2's slots
         self._slots: dict[int, int] = {}
         self._handles = itertools.count()
@@ -151,7 +151,7 @@ class Smoother:
         graph = gtsam.NonlinearFactorGraph()
         for factor in self._factors.values():
             graph.push_back(factor)
-        self._isam = _new_isam()
+        self._isam = _new_isam(self.lag)
         result = self._isam.update(graph, values)
         self._slots = dict(zip(self._factors, result.getNewFactorsIndices(), strict=True))
 
@@ -177,10 +177,10 @@ class Smoother:
         self._hold([held.at(slot) for slot in added], added)
 
 
-def _new_isam() -> gtsam.ISAM2:
+def _new_isam(lag: float | None) -> gtsam.ISAM2:
     parameters = gtsam.ISAM2Params()
     parameters.setRelinearizeThreshold(RELINEARISE)
-    parameters.relinearizeSkip = RELINEARISE_EVERY
+    parameters.relinearizeSkip = RELINEARISE_EVERY if lag is None else 1  # what is marginalised stays as it was
     parameters.setFactorization("QR")  # squares of long open drives have lost the digits that Cholesky needs
     return gtsam.ISAM2(parameters)
 
