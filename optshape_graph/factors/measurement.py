@@ -13,11 +13,12 @@ so all whitened rows of a scan stack into [A | r], whose triangular factor [L b;
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, in_plane, marginalised, outer_rows, root, triangular
 from optshape_graph.se3 import PoseLike, as_matrix, as_transform, exp, inverse, vec, vec_derivative
@@ -88,8 +89,8 @@ def plane_rows(points: ArrayLike) -> tuple[Floats, Floats]:
     return A, np.zeros(len(p))
 
 
-@dataclass(frozen=True, eq=False)
-class TemplateMeasurement:
+@dataclass(frozen=True, eq=False, repr=False)
+class TemplateMeasurement(Value):
     """The cost 1/2 ||L z + b||^2 + 1/2 c^2 of one target in one scan, z = [vec R (column-major); t] of T_target_lidar.
 
     Plain data: it pickles, it does not grow with the number of points, and measurements of one placement whose
@@ -266,6 +267,34 @@ def refine(measurement: TemplateMeasurement, iterations: int = 20) -> Floats:
         if np.abs(step).max() < 1e-9 or damping > 1.0:
             break
     return np.asarray(T)
+
+
+class Measured(Protocol):
+    """What was made of a measurement, and carries it: an estimate, a detection."""
+
+    @property
+    def measurement(self) -> TemplateMeasurement:
+        """Of T_target_lidar."""
+
+
+def measurement_of(measured: TemplateMeasurement | Measured) -> TemplateMeasurement:
+    """Return the measurement that a factor is to be made of.
+
+    Args:
+        measured: the measurement, or an estimate that carries it.
+
+    Raises:
+        InputError: neither, or an estimate that failed or is doubtful.
+    """
+    if isinstance(measured, TemplateMeasurement):
+        return measured
+    found = getattr(measured, "measurement", None)
+    if not isinstance(found, TemplateMeasurement):
+        raise InputError(f"expected an estimate or a TemplateMeasurement, found a {type(measured).__name__}")
+    status = getattr(measured, "status", "")
+    if status in ("failed", "doubtful"):
+        raise InputError(f"no factor can be made of a {status} estimate: {getattr(measured, 'reason', '')}")
+    return found
 
 
 def substitution(T_target_a: PoseLike, T_b_lidar: PoseLike | None = None) -> Floats:

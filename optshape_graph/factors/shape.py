@@ -18,7 +18,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._callback import CheckedFactor, relative_pose
 from optshape_graph.factors._rows import checked, marginalised, root, triangular
@@ -49,8 +49,8 @@ def shape_rows(points: ArrayLike, edges: ArrayLike, n_edges: int) -> Floats:
     return rows.reshape(len(p), -1)
 
 
-@dataclass(frozen=True, eq=False)
-class ShapeMeasurement:
+@dataclass(frozen=True, eq=False, repr=False)
+class ShapeMeasurement(Value):
     """The cost 1/2 ||U g||^2 of one target of unknown shape in one scan, g the planes H^T pi_k stacked.
 
     Attributes:

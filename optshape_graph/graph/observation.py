@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import InputError
 from optshape_graph.factors import TemplateMeasurement
 from optshape_graph.se3 import inverse
@@ -23,15 +23,15 @@ class Estimate(Protocol):
 
     @property
     def status(self) -> str:
-        """`failed` where the estimate is not to be used."""
+        """`failed` or `doubtful` where the estimate is not to be used."""
 
     @property
     def measurement(self) -> TemplateMeasurement:
         """The measurement, taken at the estimated pose."""
 
 
-@dataclass(frozen=True, eq=False)
-class Observation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Observation(Value):
     """One target measured in one scan.
 
     Attributes:
@@ -57,11 +57,13 @@ class Observation:
             target: which target; None: the template's name.
 
         Raises:
-            InputError: the estimate failed.
+            InputError: the estimate failed or is doubtful.
         """
         name = estimate.target.name if target is None else target
-        if estimate.status == "failed":
-            raise InputError(f"scan '{scan}': the estimate of target '{name}' failed; it is no observation")
+        if estimate.status in ("failed", "doubtful"):
+            raise InputError(
+                f"scan '{scan}': the estimate of target '{name}' is {estimate.status}; it is no observation"
+            )
         return cls(scan, name, estimate.measurement, estimate.target)
 
     @property

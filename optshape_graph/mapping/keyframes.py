@@ -16,7 +16,7 @@ from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.sessions import Session
 from optshape_graph.mapping.odometry import OdometryTrack
 from optshape_graph.mapping.sweep import Sweep
-from optshape_graph.scan import Scan
+from optshape_graph.scan import Scan, rings_missing
 from optshape_graph.se3 import angle, inverse
 
 
@@ -94,6 +94,9 @@ def keyframes(
 
     Without odometry every scan that the policy's time allows is one. A scan before the odometry begins or after it
     ends is skipped and counted.
+
+    Raises:
+        InputError: the first scan has no rings: no target would be found.
     """
     last: tuple[float, Floats] | None = None
     before: Floats | None = None
@@ -104,6 +107,8 @@ def keyframes(
         if not len(scan):
             progress.skipped["empty"] += 1
             continue
+        if scan.ring is None and not progress.keyframes:
+            raise rings_missing(scan)
         if odometry is None:
             if last is None or not np.isfinite(policy.seconds) or stamp - last[0] >= policy.seconds:
                 last = stamp, np.eye(4)

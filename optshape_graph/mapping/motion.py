@@ -16,7 +16,7 @@ from operator import is_
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.graph import Chains, Inverse, Solution, State, add_rows, solve
 from optshape_graph.mapping.sweep import Sweep
@@ -90,8 +90,8 @@ def estimate_moving(returns: Scan, target: Target, motion: Floats | Sweep) -> tu
     return estimate_pose(deskew(returns, motion, at), target), at
 
 
-@dataclass(frozen=True, eq=False)
-class MotionMeasurement:
+@dataclass(frozen=True, eq=False, repr=False)
+class MotionMeasurement(Value):
     """One target in one scan taken while moving, measured at one twist.
 
     Attributes:
@@ -127,7 +127,7 @@ class MotionMeasurement:
         if not end > start:
             raise InputError(f"{returns.name}: the scan ends at {end} s, which is not after its start at {start} s")
         estimate, at = estimate_moving(returns, target, twist)
-        if estimate.status == "failed":
+        if not estimate.usable:
             raise EstimationError(f"{returns.name}: {estimate.reason}")
         return cls(returns, start, end, at, np.asarray(twist, float), estimate)
 
@@ -154,8 +154,8 @@ class MotionMeasurement:
         return self.of(self.returns, self.estimate.target, twist, self.start, self.end)
 
 
-@dataclass(frozen=True, eq=False)
-class Moving:
+@dataclass(frozen=True, eq=False, repr=False)
+class Moving(Value):
     """Measurements taken while moving, as a term: each of H = T_target_world X_s Exp(s xi), xi = Log(X_s^-1 X_e).
 
     Attributes:
@@ -203,8 +203,8 @@ class Moving:
         return MovingModel(self.keys, residual, (by_target, by_start, by_end), floor)
 
 
-@dataclass(frozen=True, eq=False)
-class MovingModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class MovingModel(Value):
     """Residuals of measurements taken while moving, and their derivatives, at a state.
 
     Attributes:

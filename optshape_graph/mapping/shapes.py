@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.factors import ShapeMeasurement, shape_rows
 from optshape_graph.factors._rows import gaussian, marginalised
 from optshape_graph.graph import Chains, State, add_rows
@@ -54,8 +54,8 @@ def shape_measurement(estimate: PoseEstimate, returns: Scan) -> ShapeMeasurement
     return ShapeMeasurement.from_rows(marginalised(biased, rows), estimate.T_target_lidar)
 
 
-@dataclass(frozen=True, eq=False)
-class AsBuilt:
+@dataclass(frozen=True, eq=False, repr=False)
+class AsBuilt(Value):
     """The matches that say something about the vertices of their landmarks, as a term.
 
     Attributes:
@@ -127,8 +127,8 @@ class AsBuilt:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class AsBuiltModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class AsBuiltModel(Value):
     """Residuals r and their derivatives, whitened, of the matches of a term at a state.
 
     Attributes:

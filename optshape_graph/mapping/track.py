@@ -8,9 +8,16 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.factors import BiasedMeasurement, ShapeMeasurement, Summary, TemplateMeasurement, summarise
+from optshape_graph.factors import (
+    RANGE_BIAS,
+    BiasedMeasurement,
+    ShapeMeasurement,
+    Summary,
+    TemplateMeasurement,
+    summarise,
+)
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
 from optshape_graph.pose import PoseEstimate
@@ -21,8 +28,8 @@ LOOSEST = 10.0
 """Standard deviation, rad or metres, beyond which a measurement does not determine a pose."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sighting:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sighting(Value):
     """One target in one scan.
 
     Attributes:
@@ -70,10 +77,10 @@ class Sighting:
             biases: whether to keep `biased`, so that a batch can tell what all scans have in common: some kilobytes.
 
         Raises:
-            InputError: the estimate failed.
+            InputError: the estimate failed or is doubtful.
         """
-        if estimate.status == "failed":
-            raise InputError(f"the estimate of target '{estimate.target.name}' failed ({estimate.reason})")
+        if not estimate.usable:
+            raise InputError(f"the estimate of target '{estimate.target.name}' is {estimate.status}: {estimate.reason}")
         best = estimate.measurement
         measurements: tuple[TemplateMeasurement, ...] = (best,)
         other = estimate.ambiguity.T_lidar_target
@@ -141,8 +148,8 @@ class Sighting:
         return inverse(self.summaries[0].T_target_lidar)
 
 
-@dataclass(frozen=True, eq=False)
-class Odometry:
+@dataclass(frozen=True, eq=False, repr=False)
+class Odometry(Value):
     """Motion between two poses of one session.
 
     Attributes:
@@ -194,8 +201,8 @@ class Match:
         return self.sighting.biased_as(self.hypothesis)
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
+@dataclass(frozen=True, eq=False, repr=False)
+class Start(Value):
     """Where a session starts.
 
     Attributes:
@@ -213,8 +220,8 @@ class Start:
         object.__setattr__(self, "T_world_lidar", as_transform(self.T_world_lidar, "start"))
 
 
-@dataclass(frozen=True, eq=False)
-class Track:
+@dataclass(frozen=True, eq=False, repr=False)
+class Track(Value):
     """One session: a robot's poses and what was measured from them.
 
     Attributes:
@@ -234,8 +241,8 @@ class Track:
     start: Start | None
 
 
-@dataclass(frozen=True, eq=False)
-class MappingProblem:
+@dataclass(frozen=True, eq=False, repr=False)
+class MappingProblem(Value):
     """All that there is to solve for in one map.
 
     Attributes:
@@ -263,7 +270,7 @@ def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
     """
     if estimate.shared is None:
         return None
-    biased = estimate.shared.without([error for error in estimate.shared.shared if error.ring is None])
+    biased = estimate.shared.without([e for e in estimate.shared.shared if e.kind != RANGE_BIAS or e.ring is None])
     own = np.trace(biased.marginal(1.0).information(estimate.T_target_lidar))
     scale = float(np.sqrt(np.trace(estimate.measurement.information()) / own))
     return replace(biased, stack=biased.stack * min(scale, 1.0))
