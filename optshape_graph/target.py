@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, Ints, Value, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen, shortened
 from optshape_graph.errors import InputError
 from optshape_graph.se3 import rotation, transform
 
@@ -41,7 +41,7 @@ class Chessboard:
     offset: tuple[float, float] = (0.0, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Tags(Value):
     """Square fiducial tags printed on a target.
 
@@ -67,7 +67,7 @@ class Tags(Value):
         return np.asarray(upright @ np.array([[c, s], [-s, c]]) + np.array(self.centres[number]))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Target(Value):
     """A planar convex polygon with n >= 3 vertices.
 
@@ -116,7 +116,7 @@ class Target(Value):
 
     def __repr__(self) -> str:
         width, height = np.ptp(self.polygon, axis=0)
-        return f"Target('{self.name}', {len(self)} vertices, {width:.3g} x {height:.3g} m)"
+        return shortened(f"Target('{self.name}', {len(self)} vertices, {width:.3g} x {height:.3g} m)")
 
     @cached_property
     def polygon(self) -> Floats:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats
+from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.errors import InputError
 from optshape_graph.se3 import rotation, transform
 from optshape_graph.sensor import SensorModel
@@ -120,8 +120,8 @@ def pose_information(target: Target, sensor: SensorModel, T_lidar_target: Floats
     return np.asarray(six.reshape(*T.shape[:-2], 6, 6))
 
 
-@dataclass(frozen=True, eq=False)
-class MeasuredRows:
+@dataclass(frozen=True, eq=False, repr=False)
+class MeasuredRows(Value):
     """What K rows of each of R rings say of B poses; the rows of a ring that misses the target weigh nothing.
 
     Attributes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 
 MM = 1000.0
 """Millimetres in a metre."""
@@ -21,8 +21,8 @@ class Layer(StrEnum):
     SHEET = "SHEET"
 
 
-@dataclass(frozen=True, eq=False)
-class Polyline:
+@dataclass(frozen=True, eq=False, repr=False)
+class Polyline(Value):
     """A polyline.
 
     Attributes:

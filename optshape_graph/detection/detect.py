@@ -40,7 +40,7 @@ def detect_targets(scan: Scan, targets: Target | Sequence[Target], options: Dete
     try:
         ordered = order_scan(scan, options)
     except EstimationError:
-        return Detections((), ())
+        return Detections((), (), scan.name)
     sizes = [Size.of(target) for target in wanted]
     found: list[Detection] = []
     rejected: list[Rejection] = []
@@ -54,7 +54,7 @@ def detect_targets(scan: Scan, targets: Target | Sequence[Target], options: Dete
             taken[candidate.rows] = True
             found.append(detection)
     rejected.sort(key=lambda one: (-one.passed, -one.n_returns))
-    return Detections(tuple(sorted(found, key=lambda one: -one.score)), tuple(rejected))
+    return Detections(tuple(sorted(found, key=lambda one: -one.score)), tuple(rejected), scan.name)
 
 
 def _wanted(targets: Target | Sequence[Target]) -> tuple[Target, ...]:

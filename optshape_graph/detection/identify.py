@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.detection.candidates import Candidate, Size
 from optshape_graph.detection.judge import edge_margin, judge, objections, returns_of, undoubted
 from optshape_graph.detection.results import Detection, Evidence, Rejection
@@ -18,8 +18,8 @@ from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class _Fit(Value):
     """One target fitted to a candidate: rows of the ordered scan taken for its returns, pose, evidence."""
 
     rows: Ints

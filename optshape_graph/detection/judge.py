@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.detection.rays import Rays, fired_near, returned_near
 from optshape_graph.detection.results import Evidence
 from optshape_graph.detection.segments import OrderedScan, find_borders, ring_ends
@@ -127,8 +127,8 @@ def not_stepped(share: float) -> str:
     return f"only at {share:.0%} of the ends of its rings does the range jump back"
 
 
-@dataclass(frozen=True, eq=False)
-class _Ends:
+@dataclass(frozen=True, eq=False, repr=False)
+class _Ends(Value):
     """Where the ends of rings lie about a target's outline, those that something hides left out.
 
     Attributes:

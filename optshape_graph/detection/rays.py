@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.detection.segments import OrderedScan
 from optshape_graph.pose import PoseEstimate
 
 _STEEP = 1e-3  # cosine of incidence below which a ray counts as parallel to the plane
 
 
-@dataclass(frozen=True, eq=False)
-class Rays:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rays(Value):
     """Returned rays that pass near a target.
 
     Attributes:

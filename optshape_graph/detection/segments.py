@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.edges import azimuth_spacing
-from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.scan import Scan
+from optshape_graph.errors import EstimationError
+from optshape_graph.scan import Scan, rings_missing
 from optshape_graph.sensor import SensorModel
 
 _TURNS = (-2 * np.pi, 0.0, 2 * np.pi)  # an azimuth near the seam of the circle may be off by one of these, rad
@@ -34,8 +34,8 @@ class Resolution:
     beam: float
 
 
-@dataclass(frozen=True, eq=False)
-class OrderedScan:
+@dataclass(frozen=True, eq=False, repr=False)
+class OrderedScan(Value):
     """A scan's returns sorted by ring and azimuth, and cut into segments.
 
     Attributes:
@@ -134,9 +134,7 @@ def order_scan(scan: Scan, options: DetectionOptions) -> OrderedScan:
         EstimationError: fewer than two rings, or no azimuth step stated and none to be seen.
     """
     if scan.ring is None:
-        raise InputError(
-            f"{scan.name}: targets are found ring by ring; expected a ring per return (or a sensor whose table says)"
-        )
+        raise rings_missing(scan)
     if len(scan) == 0 or scan.ring.min() == scan.ring.max():
         raise EstimationError(f"{scan.name}: returns on {min(len(scan), 1)} rings; a target needs several")
     azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
@@ -201,8 +199,8 @@ def _starts(ring: Ints, azimuth: Floats, ranges: Floats, resolution: Resolution,
     return np.asarray(apart | (off_line > options.jump_sigmas))
 
 
-@dataclass(frozen=True, eq=False)
-class Runs:
+@dataclass(frozen=True, eq=False, repr=False)
+class Runs(Value):
     """Returns of one surface, cut into runs along their rings.
 
     Attributes:
@@ -244,8 +242,8 @@ def ring_ends(scan: OrderedScan, rows: Ints) -> Ints:
     return np.asarray(runs.rows[np.concatenate([first, last])])
 
 
-@dataclass(frozen=True, eq=False)
-class Borders:
+@dataclass(frozen=True, eq=False, repr=False)
+class Borders(Value):
     """How the rings on a surface end, at both ends of each. Where neither holds, the surface bends away.
 
     Attributes:

@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.se3 import PoseLike, adjoint, as_transform, inverse
 
 
@@ -36,8 +36,8 @@ Chain: TypeAlias = Sequence[Step]
 """T_a_d = T_a_b T_b_c T_c_d as its parts, from left to right."""
 
 
-@dataclass(frozen=True, eq=False)
-class State:
+@dataclass(frozen=True, eq=False, repr=False)
+class State(Value):
     """Values of all variables, with the poses among them as one array.
 
     Attributes:
@@ -69,8 +69,8 @@ class State:
         return T
 
 
-@dataclass(frozen=True, eq=False)
-class _Alike:
+@dataclass(frozen=True, eq=False, repr=False)
+class _Alike(Value):
     """Chains with the same kinds of parts in the same order: K known, X a variable, I an inverted one.
 
     Attributes:

@@ -17,7 +17,7 @@ import scipy.linalg
 import scipy.sparse as sparse
 from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError
 
 LOOSEST = 1e3
@@ -33,8 +33,8 @@ VANISHING = 1e-14
 """Information of the prior, in units of each unknown's own."""
 
 
-@dataclass(frozen=True, eq=False)
-class LinearSystem:
+@dataclass(frozen=True, eq=False, repr=False)
+class LinearSystem(Value):
     """A linearised graph: 1/2 ||A x - b||^2 over the tangent vectors of its variables.
 
     Attributes:

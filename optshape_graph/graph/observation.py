@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import InputError
 from optshape_graph.factors import TemplateMeasurement
 from optshape_graph.se3 import inverse
@@ -30,8 +30,8 @@ class Estimate(Protocol):
         """The measurement, taken at the estimated pose."""
 
 
-@dataclass(frozen=True, eq=False)
-class Observation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Observation(Value):
     """One target measured in one scan.
 
     Attributes:

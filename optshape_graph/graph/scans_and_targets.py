@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import InputError
 from optshape_graph.graph.chain import Chain, Inverse, Step
 from optshape_graph.graph.initial import initialise
@@ -22,8 +22,8 @@ from optshape_graph.graph.terms import Templates, Term
 from optshape_graph.se3 import PoseLike, as_transform, inverse
 
 
-@dataclass(frozen=True, eq=False)
-class TargetGraph:
+@dataclass(frozen=True, eq=False, repr=False)
+class TargetGraph(Value):
     """LiDAR poses X(i) and target poses L(j), linked by template measurements; what is known is no variable.
 
     Make one with `build`.
@@ -106,8 +106,8 @@ class Residual:
     chi2_pose: float
 
 
-@dataclass(frozen=True, eq=False)
-class TargetSolution:
+@dataclass(frozen=True, eq=False, repr=False)
+class TargetSolution(Value):
     """Solved poses of scans and targets, by name.
 
     Attributes:

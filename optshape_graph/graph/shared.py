@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.factors import BiasedMeasurement, SharedError
 from optshape_graph.factors._rows import factored, triangular
 from optshape_graph.graph.chain import Chain, Chains, State
@@ -28,8 +28,8 @@ BLOCK = 256
 """Measurements that are linearised at a time: more would only take memory."""
 
 
-@dataclass(frozen=True, eq=False)
-class SharedErrors:
+@dataclass(frozen=True, eq=False, repr=False)
+class SharedErrors(Value):
     """Measurements of T_target_lidar, with the errors that those of one sensor share as its variable.
 
     The variable is a vector, in standard deviations of its entries, whose prior is part of the term.
@@ -101,8 +101,8 @@ class SharedErrors:
         return rows
 
 
-@dataclass(frozen=True, eq=False)
-class SharedErrorsModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class SharedErrorsModel(Value):
     """Gauss-Newton models 1/2 ||R xi + E beta + d||^2 of measurements, and what is of the errors alone.
 
     Attributes:

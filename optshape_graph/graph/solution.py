@@ -9,7 +9,7 @@ from functools import cached_property
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import InputError, UnobservableError
 from optshape_graph.graph.chain import Chain, Chains, State
 from optshape_graph.graph.linear import LinearSystem
@@ -19,8 +19,8 @@ MOVES = 1e-3
 """Part of a direction's largest component, above which a variable counts as moving with it."""
 
 
-@dataclass(frozen=True, eq=False)
-class UnobservableDirection:
+@dataclass(frozen=True, eq=False, repr=False)
+class UnobservableDirection(Value):
     """A motion of the variables that no measurement resists.
 
     Attributes:
@@ -36,8 +36,8 @@ class UnobservableDirection:
         return self.text
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Value):
     """A solved graph.
 
     Attributes:

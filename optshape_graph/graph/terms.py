@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.factors import TemplateMeasurement
 from optshape_graph.factors._rows import factored
 from optshape_graph.graph.chain import Chain, Chains, State
@@ -50,8 +50,8 @@ class Term(Protocol):
         """Return the term's model at a state."""
 
 
-@dataclass(frozen=True, eq=False)
-class Templates:
+@dataclass(frozen=True, eq=False, repr=False)
+class Templates(Value):
     """Template measurements of T_target_lidar, each a chain of known poses and variables.
 
     Attributes:
@@ -93,8 +93,8 @@ class Templates:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class TemplatesModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class TemplatesModel(Value):
     """Gauss-Newton models 1/2 ||R xi + d||^2 + 1/2 floor of m measurements, xi the right perturbation of each pose.
 
     Attributes:
@@ -136,8 +136,8 @@ class TemplatesModel:
             add_rows(linear, keys, by, d)
 
 
-@dataclass(frozen=True, eq=False)
-class JointPoses:
+@dataclass(frozen=True, eq=False, repr=False)
+class JointPoses(Value):
     """A joint Gaussian measurement of poses, each a chain: Log(M_i^-1 H_i) of all i together, whitened.
 
     Attributes:
@@ -157,8 +157,8 @@ class JointPoses:
         return JointPosesModel(self.chains.keys, by, xi.ravel(), self.sqrt_information)
 
 
-@dataclass(frozen=True, eq=False)
-class JointPosesModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class JointPosesModel(Value):
     """A joint measurement of poses at one state.
 
     Attributes:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import InputError
 from optshape_graph.io.clouds.text import decode
 from optshape_graph.io.documents import Node, read_json
@@ -25,8 +25,8 @@ OFFSET_M = 0.02
 """A beam that starts this far above or below the others counts: the sensor model has all start at one point."""
 
 
-@dataclass(frozen=True, eq=False)
-class MakerTable:
+@dataclass(frozen=True, eq=False, repr=False)
+class MakerTable(Value):
     """Beams of a unit.
 
     Attributes:

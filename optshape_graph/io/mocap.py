@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.io._isolated import read_isolated
 from optshape_graph.io.files import read_bytes
@@ -33,8 +33,8 @@ _LOG = logging.getLogger(__name__)
 Rows = list[list[str]]
 
 
-@dataclass(frozen=True, eq=False)
-class MocapRecording:
+@dataclass(frozen=True, eq=False, repr=False)
+class MocapRecording(Value):
     """Positions of markers over time.
 
     Attributes:
@@ -305,7 +305,7 @@ def read_trc(path: str | Path) -> MocapRecording:
     """
     path = Path(path)
     rows = _table(path, "\t")
-    names = next((k for k, row in enumerate(rows) if row[0].lower().startswith("frame")), None)
+    names = next((k for k, row in enumerate(rows) if row and row[0].lower().startswith("frame")), None)
     if names is None or names < 2:
         raise InputError(f"{path}: expected the lines of a TRC file: its header, and 'Frame#', 'Time' and the markers")
     header = {key.lower(): [value] for key, value in zip(rows[names - 2], rows[names - 1], strict=False) if key}

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.io.clouds.text import decode
 from optshape_graph.io.files import is_file, read_bytes, read_text, write_atomically
@@ -53,8 +53,8 @@ TRANSLATION_FIRST = [3, 4, 5, 0, 1, 2]
 """g2o's order of the tangent space (translation, rotation) in GTSAM's (rotation, translation), and back."""
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(Value):
     """Poses over time.
 
     Attributes:
@@ -89,8 +89,8 @@ class Trajectory:
         return len(self.poses)
 
 
-@dataclass(frozen=True, eq=False)
-class PoseGraphEdge:
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseGraphEdge(Value):
     """A relative pose between two vertices.
 
     Attributes:
@@ -105,8 +105,8 @@ class PoseGraphEdge:
     information: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class PoseGraph:
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseGraph(Value):
     """Poses with names, and measurements between them.
 
     Attributes:

@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import UnobservableError
 from optshape_graph.factors import summarise
 from optshape_graph.graph import Chain, Chains, Inverse, Solution
@@ -23,8 +23,8 @@ from optshape_graph.mapping.track import MappingProblem, Match
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class Keys:
+@dataclass(frozen=True, eq=False, repr=False)
+class Keys(Value):
     """Variables: poses X, landmarks L, as-built vertices V, and the biases B of LiDARs' rings.
 
     Attributes:
@@ -64,8 +64,8 @@ class Keys:
         return [Inverse(self.landmarks[match.landmark]), self.poses[track][match.pose]]
 
 
-@dataclass(frozen=True, eq=False)
-class Residual:
+@dataclass(frozen=True, eq=False, repr=False)
+class Residual(Value):
     """How well a match fits.
 
     Attributes:
@@ -95,8 +95,8 @@ class Judged(Protocol):
         """(m,) weight that the loss gives each."""
 
 
-@dataclass(frozen=True, eq=False)
-class BatchSolution:
+@dataclass(frozen=True, eq=False, repr=False)
+class BatchSolution(Value):
     """A solved map.
 
     Attributes:

@@ -15,9 +15,10 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.graph import Chains, Inverse, Solution, State, add_rows, solve
+from optshape_graph.mapping.sweep import Sweep
 from optshape_graph.pose import PoseEstimate, estimate_pose
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import (
@@ -48,30 +49,32 @@ def twist_between(T_a_b: PoseLike, seconds: float) -> Floats:
     return log(as_matrix(T_a_b)) / seconds
 
 
-def deskew(scan: Scan, twist: Floats, at: float = 0.0) -> Scan:
+def deskew(scan: Scan, motion: Floats | Sweep, at: float = 0.0) -> Scan:
     """Bring all returns to the LiDAR's frame at one time.
 
     Args:
         scan: with the time of each return.
-        twist: (6,) constant, rotation first, rad/s and m/s, LiDAR frame.
+        motion: of the LiDAR: a constant twist (6,), rotation first, rad/s and m/s, in its own frame; or a `Sweep`.
         at: seconds, relative to the scan's stamp.
 
     Raises:
         InputError: the scan has no times.
     """
-    return replace(scan, points=_moved(scan.points, _times(scan) - at, twist))
+    if isinstance(motion, Sweep):
+        return replace(scan, points=motion.straighten(scan.points, _times(scan), at))
+    return replace(scan, points=_moved(scan.points, _times(scan) - at, motion))
 
 
-def estimate_moving(returns: Scan, target: Target, twist: Floats) -> tuple[PoseEstimate, float]:
-    """Estimate a target's pose from returns taken while moving with a known twist.
+def estimate_moving(returns: Scan, target: Target, motion: Floats | Sweep) -> tuple[PoseEstimate, float]:
+    """Estimate a target's pose from returns taken while moving in a known way.
 
     A target is hit within milliseconds, so its returns are brought to the mean of their own times: the rings stay what
-    they are, and an error of the twist hardly matters there.
+    they are, and an error of the motion hardly matters there.
 
     Args:
         returns: on the target, with times.
         target: the template.
-        twist: (6,) rotation first, rad/s and m/s, LiDAR frame.
+        motion: as of `deskew`.
 
     Returns:
         The estimate of T_lidar_target at a time, and that time, seconds, relative to the scan's stamp.
@@ -83,11 +86,11 @@ def estimate_moving(returns: Scan, target: Target, twist: Floats) -> tuple[PoseE
     if not len(returns):
         raise EstimationError(f"{returns.name}: no returns on the target")
     at = float(_times(returns).mean())
-    return estimate_pose(deskew(returns, twist, at), target), at
+    return estimate_pose(deskew(returns, motion, at), target), at
 
 
-@dataclass(frozen=True, eq=False)
-class MotionMeasurement:
+@dataclass(frozen=True, eq=False, repr=False)
+class MotionMeasurement(Value):
     """One target in one scan taken while moving, measured at one twist.
 
     Attributes:
@@ -150,8 +153,8 @@ class MotionMeasurement:
         return self.of(self.returns, self.estimate.target, twist, self.start, self.end)
 
 
-@dataclass(frozen=True, eq=False)
-class Moving:
+@dataclass(frozen=True, eq=False, repr=False)
+class Moving(Value):
     """Measurements taken while moving, as a term: each of H = T_target_world X_s Exp(s xi), xi = Log(X_s^-1 X_e).
 
     Attributes:
@@ -199,8 +202,8 @@ class Moving:
         return MovingModel(self.keys, residual, (by_target, by_start, by_end), floor)
 
 
-@dataclass(frozen=True, eq=False)
-class MovingModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class MovingModel(Value):
     """Residuals of measurements taken while moving, and their derivatives, at a state.
 
     Attributes:

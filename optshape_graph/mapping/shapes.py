@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.factors import ShapeMeasurement, shape_rows
-from optshape_graph.factors._rows import gaussian
+from optshape_graph.factors._rows import gaussian, marginalised
 from optshape_graph.graph import Chains, State, add_rows
 from optshape_graph.mapping.batch_solution import Keys
 from optshape_graph.mapping.smoother import sqrt_information
@@ -51,19 +51,11 @@ def shape_measurement(estimate: PoseEstimate, returns: Scan) -> ShapeMeasurement
         shape_rows(off_plane, np.full(len(returns), n), n) / on_plane.sigma[:, None],
     ])  # fmt: skip
     biased = np.vstack([np.zeros((len(boundary), on_plane.bias.shape[1])), on_plane.bias])
-    return ShapeMeasurement.from_rows(_marginal(biased, rows), estimate.T_target_lidar)
+    return ShapeMeasurement.from_rows(marginalised(biased, rows), estimate.T_target_lidar)
 
 
-def _marginal(B: Floats, rows: Floats) -> Floats:
-    """Rows with shared errors, columns B in units of their standard deviations, marginalised."""
-    k = B.shape[1]
-    stack = np.block([[np.eye(k), np.zeros((k, rows.shape[1]))], [B, rows]])
-    R = np.asarray(np.linalg.qr(stack, mode="r"))
-    return R[k:, k:]
-
-
-@dataclass(frozen=True, eq=False)
-class AsBuilt:
+@dataclass(frozen=True, eq=False, repr=False)
+class AsBuilt(Value):
     """The matches that say something about the vertices of their landmarks, as a term.
 
     Attributes:
@@ -130,8 +122,8 @@ class AsBuilt:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class AsBuiltModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class AsBuiltModel(Value):
     """Residuals r and their derivatives, whitened, of the matches of a term at a state.
 
     Attributes:

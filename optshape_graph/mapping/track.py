@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors import BiasedMeasurement, ShapeMeasurement, Summary, TemplateMeasurement, summarise
 from optshape_graph.mapping.map import Map
@@ -21,8 +21,8 @@ LOOSEST = 10.0
 """Standard deviation, rad or metres, beyond which a measurement does not determine a pose."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sighting:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sighting(Value):
     """One target in one scan.
 
     Attributes:
@@ -81,12 +81,21 @@ class Sighting:
             measurements = (best, best.substituted(best.T_target_lidar @ other))
         return cls(estimate.target, measurements, landmark, shape, _biased(estimate) if biases else None)
 
-    def moved(self, T_lidar_then: Floats) -> Sighting:
+    def moved(self, T_lidar_then: Floats, covariance: Floats | None = None) -> Sighting:
         """Return the sighting as one from another pose of the LiDAR.
 
         Args:
             T_lidar_then: (4, 4) the pose that it was made from, in the frame of the one that it is to be from.
+            covariance: (6, 6) of its right perturbation, rotation first; None: it is known exactly.
         """
+        if covariance is not None:
+            loosened = replace(
+                self,
+                measurements=tuple(m.loosened(covariance) for m in self.measurements),
+                shape=None if self.shape is None else self.shape.loosened(covariance, self.target.vertices),
+                biased=None if self.biased is None else self.biased.loosened(covariance),
+            )
+            return loosened.moved(T_lidar_then)
         shape = self.shape
         if shape is not None:  # planes map by the transposed pose: H_then^T = T^T H^T
             U = shape.U.reshape(len(shape.U), -1, 4) @ T_lidar_then.T
@@ -132,8 +141,8 @@ class Sighting:
         return inverse(self.summaries[0].T_target_lidar)
 
 
-@dataclass(frozen=True, eq=False)
-class Odometry:
+@dataclass(frozen=True, eq=False, repr=False)
+class Odometry(Value):
     """Motion between two poses of one session.
 
     Attributes:
@@ -185,8 +194,8 @@ class Match:
         return self.sighting.biased_as(self.hypothesis)
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
+@dataclass(frozen=True, eq=False, repr=False)
+class Start(Value):
     """Where a session starts.
 
     Attributes:
@@ -204,8 +213,8 @@ class Start:
         object.__setattr__(self, "T_world_lidar", as_transform(self.T_world_lidar, "start"))
 
 
-@dataclass(frozen=True, eq=False)
-class Track:
+@dataclass(frozen=True, eq=False, repr=False)
+class Track(Value):
     """One session: a robot's poses and what was measured from them.
 
     Attributes:
@@ -225,8 +234,8 @@ class Track:
     start: Start | None
 
 
-@dataclass(frozen=True, eq=False)
-class MappingProblem:
+@dataclass(frozen=True, eq=False, repr=False)
+class MappingProblem(Value):
     """All that there is to solve for in one map.
 
     Attributes:

@@ -20,7 +20,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError, InputError, missing_extra
 from optshape_graph.factors.measurement import TemplateMeasurement, refine
 from optshape_graph.pose.dual import closed_form_bounds
@@ -33,8 +33,8 @@ _SQUARED_NORM = 4.0  # of x = [vec R; 1], for every rotation
 _UPPER = np.array([(i, j) for j in range(10) for i in range(j + 1)])  # column by column, as Clarabel packs
 
 
-@dataclass(frozen=True, eq=False)
-class Bound:
+@dataclass(frozen=True, eq=False, repr=False)
+class Bound(Value):
     """What the dual of the relaxation says of a quadratic cost [vec R; t; 1]^T Q [vec R; t; 1].
 
     Attributes:
@@ -49,8 +49,8 @@ class Bound:
     X: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class Relaxation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Relaxation(Value):
     """The pose that the relaxation rounds to, and the bound on every pose.
 
     Attributes:

@@ -93,6 +93,7 @@ def conclude(found: Finding, backend: Backend, options: PoseOptions) -> PoseEsti
         plane_rms=float(np.sqrt(np.mean(off_plane**2))),
         n_returns=len(found.returns),
         unobservable=unobservable,
+        scan=found.returns.name,
     )
 
 

@@ -87,7 +87,8 @@ def test_closed_form_against_the_solver(capsys: pytest.CaptureFixture[str]) -> N
     with capsys.disabled():
         print(
             f"\nclosed form: {tight.mean():.1%} of 500 need no solver (asked: 93 %); the solver takes "
-            f"{solver / single:.1f} times as long (asked: 8), {solver / batched:.0f} times where 500 are done at once (asked: 60)"
+            f"{solver / single:.1f} times as long (asked: 8), "
+            f"{solver / batched:.0f} times where 500 are done at once (asked: 60)"
         )
     assert tight.mean() >= 0.93
     assert solver / single >= 8

@@ -97,7 +97,7 @@ def scene(content: str, *parts: str) -> tuple[str, Files, tuple[str, ...]]:
 ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     # clouds
     "no such cloud": (ESTIMATE.format("b.pcd"), {}, ("b.pcd: no such file",)),
-    "a folder as cloud": (ESTIMATE.format("."), {}, (".: a folder; expected one cloud",)),
+    "a folder as cloud": (ESTIMATE.format("."), {}, (".: no clouds in the folder (.pcd, .ply, .npz)",)),
     "unknown ending": cloud("a.xls", "1 2 3", ": expected a cloud ending in .pcd, .ply, .npz, .npy, .csv, ", "found '.xls'"),
     "empty PCD": cloud("a.pcd", "", "its header has no line 'DATA ...'"),
     "text as PCD": cloud("a.pcd", "hello there\n", "expected one of the keywords VERSION", "found 'hello'"),

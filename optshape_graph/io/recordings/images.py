@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optshape_graph._arrays import Value
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.foreign_cameras import make_camera
@@ -56,8 +57,8 @@ ENCODINGS = _encodings()
 """sensor_msgs/Image encodings that are read (sensor_msgs/image_encodings.hpp)."""
 
 
-@dataclass(frozen=True, eq=False)
-class RawImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class RawImage(Value):
     """Pixels as the camera sent them.
 
     Attributes:
@@ -88,8 +89,8 @@ class RawImage:
         return np.asarray(cv2.cvtColor(np.ascontiguousarray(values), getattr(cv2, how.conversion)), dtype=np.uint8)
 
 
-@dataclass(frozen=True, eq=False)
-class CompressedImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class CompressedImage(Value):
     """An image as a file would hold it.
 
     Attributes:

@@ -30,7 +30,7 @@ TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 PATH = "nav_msgs/msg/Path"
 POSES = frozenset({
     "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "geometry_msgs/msg/TransformStamped", PATH,
+    "geometry_msgs/msg/TransformStamped",
 })  # fmt: skip
 IMAGES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"})
 CAMERAS = frozenset({"sensor_msgs/msg/CameraInfo"})
@@ -215,7 +215,12 @@ def _transform(message: Any) -> Stamped[Floats]:
     return Stamped(stamp_of(message), rigid(message.transform.translation, message.transform.rotation))
 
 
-TYPES: dict[Kind, frozenset[str]] = {"scan": SCANS, "image": IMAGES, "camera": CAMERAS, "pose": POSES}
+TYPES: dict[Kind, frozenset[str]] = {
+    "scan": SCANS | packets.OUSTER,
+    "image": IMAGES,
+    "camera": CAMERAS,
+    "pose": POSES | {PATH},
+}
 """Kind of topic: the message types of it."""
 
 

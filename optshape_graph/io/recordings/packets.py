@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ import numpy as np
 
 from optshape_graph.errors import InputError, MissingExtraError, missing_extra
 from optshape_graph.io.clouds import Columns, make_scan
-from optshape_graph.io.documents import read_json
 from optshape_graph.io.files import read_head
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.recordings.topics import Topic
@@ -22,17 +21,18 @@ from optshape_graph.sensor import SensorModel
 
 VELODYNE = "velodyne_msgs/msg/VelodyneScan"
 
+OUSTER = frozenset({"ouster_ros/msg/PacketMsg", "ouster_msgs/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg"})
+"""Messages of an Ouster's packets, returns and inertial ones alike; they are decoded with the unit's metadata."""
+
 DEFINITIONS = {
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data\n",
     VELODYNE: "std_msgs/Header header\nVelodynePacket[] packets\n",
+    **dict.fromkeys(OUSTER, "uint8[] buf\n"),
 }
-"""Messages of packets, as the driver publishes them (ros-drivers/velodyne, velodyne_msgs)."""
+"""Messages of packets, as the drivers publish them (ros-drivers/velodyne, velodyne_msgs; ouster-lidar/ouster-ros)."""
 
 PACKET_BYTES = 1206
 """Of a Velodyne's packet of returns."""
-
-OUSTER_TOPICS = frozenset({"ouster_ros/msg/PacketMsg", "ouster_msgs/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg"})
-"""Messages of an Ouster's packets; they are decoded with the metadata recorded beside them."""
 
 SURVEYED = 500
 """Packets at the beginning that tell who sends them."""
@@ -43,6 +43,14 @@ _BEGINNINGS = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"
 def is_capture(path: Path) -> bool:
     """Say whether a file is captured packets: pcap or pcapng, by its first bytes."""
     return path.is_file() and read_head(path, 4).startswith(_BEGINNINGS)
+
+
+def metadata_beside(path: Path) -> Path | None:
+    """Return the JSON file with an Ouster's metadata that lies beside a recording; None: there is none."""
+    for file in [path.with_suffix(".json"), *sorted(path.parent.glob("*.json"))[:20]]:
+        if file.is_file() and file.stat().st_size < 1 << 20 and b"beam_altitude_angles" in file.read_bytes():
+            return file
+    return None
 
 
 class Capture:
@@ -72,18 +80,14 @@ class Capture:
         found = ", ".join(f"{count} of {size} bytes" for size, count in sizes.most_common(4)) or "none"
         raise InputError(
             f"{self.path}: packets ({found}) of no LiDAR that is read here: Velodyne's have {PACKET_BYTES} bytes; "
-            f"an Ouster's need its metadata beside them ({self.path.with_suffix('.json').name}); others: export PCD or a bag "
-            "with the maker's viewer"
+            f"an Ouster's need its metadata beside them ({self.path.with_suffix('.json').name}); others: export "
+            "PCD or a bag with the maker's viewer"
         )
 
     @cached_property
     def _metadata(self) -> Path | None:
         """The metadata of an Ouster beside the file."""
-        candidates = [self.path.with_suffix(".json"), *sorted(self.path.parent.glob("*.json"))[:20]]
-        for file in candidates:
-            if file.is_file() and file.stat().st_size < 1 << 20 and b"beam_altitude_angles" in file.read_bytes():
-                return file
-        return None
+        return metadata_beside(self.path)
 
     def read(self, topic: Topic, skipped: Skipped, sensor: SensorModel | None = None) -> Iterator[Stamped[Any]]:
         """Yield the scans, a revolution each.
@@ -113,16 +117,41 @@ class Capture:
 
     def _ouster(self) -> Iterator[tuple[float, Columns]]:
         assert self._metadata is not None  # it is what made them an Ouster's
-        read_json(self._metadata)  # not JSON: said here
-        core, sdk = _ouster_sdk()
-        try:
-            source = sdk.open_source(str(self.path), meta=[str(self._metadata)])
-        except Exception as error:  # of the decoder: not a closed set
-            raise InputError(f"{self.path}: not Ouster packets of {self._metadata.name}: {error}") from error
-        for frames in source:
-            for frame in frames if isinstance(frames, list | tuple) or hasattr(frames, "__iter__") else [frames]:
-                if frame is not None:
-                    yield ouster_columns(core, frame, str(self.path))
+        yield from decode_ouster(
+            self._metadata.read_text(encoding="utf-8"), (payload for _, payload in _payloads(self.path)), str(self.path)
+        )
+
+
+def decode_ouster(metadata: str, payloads: Iterable[bytes], name: str) -> Iterator[tuple[float, Columns]]:
+    """Yield stamp, seconds, and points of each revolution in an Ouster's packets; the last may be a part of one.
+
+    Args:
+        metadata: of the unit, JSON as the sensor gives it.
+        payloads: packets, those of other kinds among them.
+        name: of the clouds, for messages.
+
+    Raises:
+        InputError: metadata or packets that cannot be decoded.
+        MissingExtraError: the decoder is absent.
+    """
+    core = _ouster_sdk()
+    try:
+        info = core.SensorInfo(metadata)
+        form, batcher, frame = core.PacketFormat(info), core.FrameBatcher(info), core.LidarFrame(info)
+        for payload in payloads:
+            if not form.lidar_packet_size <= len(payload) <= form.lidar_packet_size + 1:  # old drivers send one more
+                continue
+            packet = core.LidarPacket(form)
+            packet.buf[:] = np.frombuffer(payload, np.uint8, form.lidar_packet_size)
+            if batcher.batch(packet, frame):
+                yield ouster_columns(core, frame, name)
+                frame = core.LidarFrame(info)
+    except (InputError, GeneratorExit):
+        raise
+    except Exception as error:  # of the decoder: not a closed set
+        raise InputError(f"{name}: Ouster packets that cannot be decoded: {error}") from error
+    if np.asarray(frame.timestamp).any():
+        yield ouster_columns(core, frame, name)
 
 
 def ouster_columns(core: Any, frame: Any, name: str) -> tuple[float, Columns]:
@@ -136,7 +165,7 @@ def ouster_columns(core: Any, frame: Any, name: str) -> tuple[float, Columns]:
         name: of the cloud, for messages.
     """
     info = frame.sensor_info
-    xyz = np.asarray(core.XYZLut(info, use_extrinsics=True)(frame), float)  # H x W x 3, staggered
+    xyz = np.asarray(core.XYZLut(info, use_extrinsics=True)(frame), float)  # rows x columns x 3, as fired
     rows, columns = xyz.shape[:2]
     ns = np.asarray(frame.timestamp).astype(np.int64)
     seen = ns > 0
@@ -208,13 +237,12 @@ def _velodyne_decoder() -> Any:
     return velodyne_decoder
 
 
-def _ouster_sdk() -> tuple[Any, Any]:
+def _ouster_sdk() -> Any:
     try:
-        import ouster.sdk
         import ouster.sdk.core
     except ImportError as cause:
         raise MissingExtraError(
             f"ouster-sdk could not be imported ({cause}); install it with: pip install --no-deps ouster-sdk laspy "
             "(its own requirements would replace rosbags by an older version)"
         ) from cause
-    return ouster.sdk.core, ouster.sdk
+    return ouster.sdk.core

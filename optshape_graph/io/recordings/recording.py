@@ -56,6 +56,15 @@ class Recording:
         """All topics, also those of kinds that are not read."""
         return self._source.topics
 
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """Seconds of the first and the last message, as recorded; None: the recording does not say."""
+        return self._source.span if isinstance(self._source, Bag) else None
+
+    def mounting_frame(self, scan_topic: str | None = None) -> str:
+        """Return the frame that the scans of a topic are in; empty where the recording does not say."""
+        return self._source.frame(self.topic("scan", scan_topic)) if isinstance(self._source, Bag) else ""
+
     def topic(self, kind: Kind, name: str | None = None) -> Topic:
         """Return the topic of a kind and name, or the only one of a kind.
 
