@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.design.bound import bound_of, pose_information
 from optshape_graph.design.family import Family
 from optshape_graph.design.limits import Limits
@@ -45,8 +45,8 @@ QUANTILES = (0.5, 0.95)
 """Of the errors over placements."""
 
 
-@dataclass(frozen=True, eq=False)
-class Placements:
+@dataclass(frozen=True, eq=False, repr=False)
+class Placements(Value):
     """Sensors, distances and attitudes over which a shape is judged.
 
     Attributes:
@@ -143,8 +143,8 @@ def _gap_at(sensor: SensorModel, elevations: Floats) -> Floats:
     return np.asarray(np.minimum(edges[above] - edges[above - 1], np.pi / 10))
 
 
-@dataclass(frozen=True, eq=False)
-class PoseProblem:
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseProblem(Value):
     """What is sought: the shape of a family whose pose is known best.
 
     Attributes:
