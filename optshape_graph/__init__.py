@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from optshape_graph.calibration.mocap import MocapCalibration, calibrate_mocap
     from optshape_graph.detection import Detections, detect_targets
     from optshape_graph.io import load_sensor, load_session, load_target, read_scan
-    from optshape_graph.mapping import Map, load_map, save_map
+    from optshape_graph.mapping import Map, load_map, map_recording, save_map
     from optshape_graph.pose import PoseEstimate, estimate_pose
 
 __version__ = "0.1.0"
@@ -32,6 +32,7 @@ _HOME = {
     "detect_targets": "detection",
     "estimate_pose": "pose",
     "load_map": "mapping",
+    "map_recording": "mapping",
     "load_sensor": "io",
     "load_session": "io",
     "load_target": "io",
@@ -62,6 +63,7 @@ __all__ = [
     "load_sensor",
     "load_session",
     "load_target",
+    "map_recording",
     "read_scan",
     "save_map",
 ]

@@ -24,7 +24,6 @@ HEAVY = [
     "matplotlib",
     "cv2",
     "rosbags",
-    "joblib",
     "distributed",
     "pyarrow",
     "ezc3d",

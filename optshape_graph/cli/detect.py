@@ -74,9 +74,10 @@ def command(
         return report(
             results,
             "T_lidar_target",
-            ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "margin"],
+            ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "fit", "margin"],
             rows,
-            "score: 0 to 1. margin: log likelihood to the next of the targets asked for, where one fits as well.",
+            "score: 0 to 1. fit: chi-square per degree of freedom of plane / edges, or what makes the pose doubtful. "
+            "margin: log likelihood to the next of the targets asked for, where one fits as well.",
             json_path,
         )
 
@@ -107,9 +108,9 @@ def rows(entry: dict[str, Any], status: str) -> list[list[str]]:
     """Return the rows of an entry of the document: one for each target found."""
     name = Path(entry["scan"]).name
     if "error" in entry:
-        return [[name, "failed", *[""] * 7]]
+        return [[name, "failed", *[""] * 8]]
     if not entry["targets"]:
-        return [[name, "none", *[""] * 6, f"{len(entry['rejected'])} rejected"]]
+        return [[name, "none", *[""] * 7, f"{len(entry['rejected'])} rejected"]]
     return [
         [
             name,
@@ -118,6 +119,7 @@ def rows(entry: dict[str, Any], status: str) -> list[list[str]]:
             *(f"{line[3]:.3f}" for line in found["T_lidar_target"][:3]),
             f"{found['score']:.2f}",
             str(len(found["return_indices"]) + len(found["doubtful_indices"])),
+            found["fit"]["summary"],
             f"{found['margin']:.3g}" if found["rival"] else "",
         ]
         for found in entry["targets"]

@@ -47,7 +47,8 @@ def command(
     """Estimate a target's pose in each SCAN (PCD, PLY, NPZ or CSV), which holds the target's returns and no others.
 
     A SCAN is a file, a folder of clouds, a pattern in quotes ('drive/*.pcd'), or @LIST: a text file with a name on each
-    line. Exit status 3: some scans failed or are ambiguous; the results of the others are written.
+    line. Exit status 3: some scans failed, or are doubtful or ambiguous; the results of
+    the others are written.
     """
     from optshape_graph.cli.console import progress_bar
     from optshape_graph.cli.inputs import scan_paths
@@ -72,10 +73,11 @@ def command(
         return report(
             results,
             f"{template.name}: T_lidar_target",
-            ["scan", "status", "x [m]", "y [m]", "z [m]", "± mm", "± deg", "cert.", "margin", "returns"],
+            ["scan", "status", "x [m]", "y [m]", "z [m]", "± mm", "± deg", "cert.", "margin", "fit", "returns"],
             rows,
             "±: largest standard deviation of position and rotation. cert.: globally optimal. "
-            "margin: log likelihood to the best different pose.",
+            "margin: log likelihood to the best different pose. "
+            "fit: chi-square per degree of freedom of plane / edges, or what makes the pose doubtful.",
             json_path,
         )
 
@@ -110,9 +112,9 @@ def rows(entry: dict[str, Any], status: str) -> list[list[str]]:
 
     name = Path(entry["scan"]).name
     if entry["certificate"] is None:
-        return [[name, "failed", *[""] * 8]]
+        return [[name, "failed", *[""] * 9]]
     if entry["T_lidar_target"] is None:
-        return [[name, "failed", *[""] * 7, str(entry["n_returns"])]]
+        return [[name, "failed", *[""] * 8, str(entry["n_returns"])]]
     sd = np.sqrt(np.diag(entry["covariance"]))
     margin = entry["ambiguity"]["margin"]
     return [
@@ -124,6 +126,7 @@ def rows(entry: dict[str, Any], status: str) -> list[list[str]]:
             f"{np.degrees(sd[:3].max()):.2f}",
             "yes" if entry["certificate"]["certified"] else "no",
             "" if margin is None else f"{min(margin, 999):.0f}",
+            entry["fit"]["summary"],
             str(entry["n_returns"]),
         ]
     ]

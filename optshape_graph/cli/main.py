@@ -61,7 +61,7 @@ LONGEST_MESSAGE = 2000
 def cli(debug: bool) -> None:
     """LiDAR targets as landmarks: certified poses with covariances, calibration, maps.
 
-    Exit status: 0 all well; 1 unexpected; 2 bad usage or input; 3 some scans failed or are ambiguous
+    Exit status: 0 all well; 1 unexpected; 2 bad usage or input; 3 some scans failed, are doubtful or ambiguous
     (the results of the others are written).
     """
     handler = logging.StreamHandler()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +27,15 @@ class Number(click.ParamType):  # type: ignore[type-arg]  # generic in newer ver
         least: the number is at least this.
         most: it is at most this.
         open: leave out the least itself.
+        finite: refuse infinity.
     """
 
     name = "number"
 
-    def __init__(self, least: float = -math.inf, most: float = math.inf, *, open: bool = False) -> None:
-        self.least, self.most, self.open = least, most, open
+    def __init__(
+        self, least: float = -math.inf, most: float = math.inf, *, open: bool = False, finite: bool = True
+    ) -> None:
+        self.least, self.most, self.open, self.finite = least, most, open, finite
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number that a text is."""
@@ -40,7 +44,7 @@ class Number(click.ParamType):  # type: ignore[type-arg]  # generic in newer ver
         except (TypeError, ValueError):
             number = math.nan
         above = number > self.least if self.open else number >= self.least
-        if not (above and number <= self.most and math.isfinite(number)):
+        if not (above and number <= self.most and (math.isfinite(number) or not self.finite)):
             self.fail(f"expected a number {self._range()}, found '{value}'", param, ctx)
         return number
 
@@ -73,6 +77,7 @@ def force_option(function: Callable[..., Any]) -> Callable[..., Any]:
 def pool_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--workers`, `--dask` and `--dask-tls`; the command takes what they make as `pool`, None for the default."""
 
+    @wraps(function)
     def with_pool(*args: Any, workers: int | None, dask: str | None, dask_tls: Any, **kwargs: Any) -> Any:
         if dask is None and dask_tls is not None:
             raise click.UsageError("--dask-tls goes with --dask")
@@ -81,8 +86,6 @@ def pool_options(function: Callable[..., Any]) -> Callable[..., Any]:
         pool = None if workers is None and dask is None else Pool(workers or 1, dask, dask_tls)
         return function(*args, pool=pool, **kwargs)
 
-    with_pool.__doc__ = function.__doc__
-    with_pool.__click_params__ = getattr(function, "__click_params__", [])  # type: ignore[attr-defined]  # click's own
     for option in (
         click.option("--dask-tls", nargs=3, type=click.Path(exists=True, dir_okay=False, path_type=Path),
                      metavar="CA CERT KEY", help="Files (PEM) for TLS with it: authority, certificate, key."),

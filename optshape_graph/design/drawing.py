@@ -15,6 +15,7 @@ from optshape_graph.design.patterns import pattern_of
 from optshape_graph.design.polygons import centroids
 from optshape_graph.design.polylines import MM, Drawing, Layer, Polyline, Text
 from optshape_graph.errors import InputError
+from optshape_graph.names import shown
 from optshape_graph.target import Target
 
 CHECK = 100.0
@@ -87,7 +88,7 @@ def draw(target: Target, workshop: Workshop | None = None) -> Drawing:
     _check_bar(low, h, lines, texts)
     right, bottom = 5.5 * h, 8.0 * h + (1.8 * h if pattern else 0.0)
     return Drawing(
-        target.name,
+        shown(target.name),
         tuple(lines),
         tuple(texts),
         (float(low[0] - 7.5 * h), float(low[1] - bottom)),
@@ -201,7 +202,7 @@ def _title(target: Target, face: Floats, h: float, below: bool, texts: list[Text
     y = float(face[:, 1].min()) - 3.8 * h
     facing = (x, y - 4.8 * h) if below else (0.0, -4.0 * h)
     texts.append(Text(facing, "THIS SIDE TO THE LiDAR", Layer.MARK, 1.1 * h))
-    texts.append(Text((x, y), f"{target.name}   {target.area:.4g} m²   scale 1:1   mm", Layer.MARK, h))
+    texts.append(Text((x, y), f"{shown(target.name)}   {target.area:.4g} m²   scale 1:1   mm", Layer.MARK, h))
     if below:
         named = [f"{i}-{j}: {np.linalg.norm(face[i] - face[j]):.1f}" for i, j in diagonals(target)]
         if named:

@@ -74,18 +74,41 @@ def export(
         return [path]
     sheets = lay_out(drawing, paper, orientation)
     pages = [(drawing, sheet) for sheet in sheets]
-    names = [str(number) for number in range(1, len(sheets) + 1)]
     if len(sheets) > 1:
         overview = plan(drawing, sheets, list(notes), orientation)
         pages += [(overview, lay_out(overview, None)[0])]
-        names.append("plan")
     if suffix == "pdf":
         write_atomically(path, _pdf(pages))
         return [path]
-    paths = [path.with_stem(f"{path.stem}-{name}") for name in names] if len(pages) > 1 else [path]
-    for page_path, (shown, sheet) in zip(paths, pages, strict=True):
-        write_atomically(page_path, _svg(shown, sheet))
+    paths = _named(path, len(sheets))
+    for page_path, (page, sheet) in zip(paths, pages, strict=True):
+        write_atomically(page_path, _svg(page, sheet))
     return paths
+
+
+def files_of(drawing: Drawing, path: Path, paper: str | None = None, orientation: Orientation = "auto") -> list[Path]:
+    """Return the files that `export` writes.
+
+    Args:
+        drawing: the drawing.
+        path: the file: .svg, .pdf or .dxf.
+        paper: as `export` takes it.
+        orientation: as `export` takes it.
+
+    Raises:
+        InputError: the paper is not known, or there would be too many sheets.
+    """
+    if path.suffix.lower() == ".dxf":
+        return [path]
+    sheets = lay_out(drawing, paper, orientation)
+    return _named(path, len(sheets)) if path.suffix.lower() == ".svg" else [path]
+
+
+def _named(path: Path, sheets: int) -> list[Path]:
+    """Return the name of a single sheet, or those of several and of their plan."""
+    if sheets == 1:
+        return [path]
+    return [path.with_stem(f"{path.stem}-{name}") for name in [*range(1, sheets + 1), "plan"]]
 
 
 def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
@@ -93,12 +116,15 @@ def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
 
     Raises:
         MissingExtraError: matplotlib is absent.
+        InputError: its settings are wrong.
     """
     try:
         from matplotlib.figure import Figure
         from matplotlib.patches import Polygon, Rectangle
     except ImportError as cause:
         raise missing_extra("matplotlib", "design", cause) from cause
+    except ValueError as error:  # of its settings, the environment's included
+        raise InputError(f"matplotlib does not start: {error} (is the variable MPLBACKEND wrong?)") from error
     width, height = sheet.size
     x, y = sheet.origin
     figure = Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH))
@@ -125,6 +151,7 @@ def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
                 color=COLOURS[text.layer],
                 fontsize=text.height / CAP_HEIGHT * POINTS_PER_MM,
                 family="DejaVu Sans",
+                parse_math=False,  # a name may have dollars
             )
             if clip is not None:
                 artist.set_clip_path(clip)

@@ -17,6 +17,9 @@ BORDER = 12.0
 
 Orientation = Literal["auto", "portrait", "landscape"]
 
+MOST_SHEETS = 400
+"""Of one drawing: A4 of a target of 3.5 m."""
+
 
 @dataclass(frozen=True)
 class Sheet:
@@ -48,7 +51,7 @@ def lay_out(drawing: Drawing, paper: str | None, orientation: Orientation = "aut
         orientation: of the sheets: `portrait`, `landscape`, or `auto`: whichever needs fewer sheets.
 
     Raises:
-        InputError: the format is not known.
+        InputError: the format is not known, or there would be more sheets than anybody joins.
     """
     if paper is None:
         return _spread(drawing, np.array(drawing.high) - np.array(drawing.low) + 2 * BORDER)
@@ -98,6 +101,12 @@ def _spread(drawing: Drawing, size: Floats) -> list[Sheet]:
     low, extent = np.array(drawing.low), np.array(drawing.high) - np.array(drawing.low)
     window = size - 2 * BORDER
     columns, rows = (int(count) for count in np.ceil(extent / window - 1e-9))
+    if columns * rows > MOST_SHEETS:
+        width, height = extent / MM
+        raise InputError(
+            f"{drawing.title}: {width:.1f} x {height:.1f} m are {columns * rows} sheets of {size[0]:g} x {size[1]:g} mm; "
+            f"at most {MOST_SHEETS} are made: take larger paper, or one large sheet"
+        )
     corner = low - (np.array([columns, rows]) * window - extent) / 2
     starts, ends = _segments(drawing)
     sheets: list[Sheet] = []

@@ -23,9 +23,19 @@ def edge_margin(scan: OrderedScan, estimate: PoseEstimate) -> float:
     A pose that is not determined would allow anything; a tenth of the target is enough.
     """
     distance = float(np.linalg.norm(estimate.T_lidar_target[:3, 3]))
-    pose = 2.0 * float(np.sqrt(np.linalg.eigvalsh(estimate.covariance[3:, 3:])[-1]))
+    pose = 2.0 * outline_error(estimate)
     sampling = distance * (0.5 * scan.resolution.step + scan.resolution.beam)
     return sampling + scan.resolution.range_noise + min(pose, 0.1 * float(estimate.target.offsets.min()))
+
+
+def outline_error(estimate: PoseEstimate) -> float:
+    """Return the largest standard deviation of the outline's place among the rays, metres.
+
+    An error of the plane moves the outline and the returns along the same rays, so the plane counts as given.
+    """
+    within = np.ix_([0, 4, 5], [0, 4, 5])  # the turn about the normal, y and z
+    given = np.linalg.inv(np.linalg.inv(estimate.covariance)[within])
+    return float(np.sqrt(np.linalg.eigvalsh(given[1:, 1:])[-1]))
 
 
 def returns_of(scan: OrderedScan, estimate: PoseEstimate, margin: float) -> Ints:
@@ -54,8 +64,7 @@ def undoubted(scan: OrderedScan, estimate: PoseEstimate, rows: Ints) -> Bools:
     normal, distance = estimate.plane[:3], -estimate.plane[3]
     on_plane = points * (distance / (points @ normal))[:, None]
     yz = apply(T, on_plane)[:, 1:]
-    error = float(np.sqrt(np.linalg.eigvalsh(estimate.covariance[4:, 4:])[-1]))
-    inset = min(error, 0.1 * float(estimate.target.offsets.min()))
+    inset = min(outline_error(estimate), 0.1 * float(estimate.target.offsets.min()))
     behind = points @ normal - distance
     return np.asarray(estimate.target.contains(yz, -inset) & (np.abs(behind) <= _CENTRAL * estimate.plane_rms))
 

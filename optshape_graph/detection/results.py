@@ -67,8 +67,9 @@ class Detection(Value):
         margin: difference of log likelihoods to the rival; infinite where there is none.
         probabilities: by name, of each of the targets asked for that fits, had all been as likely before; the likeliest
             first. They sum to 1: that it is one of them is what `evidence` is for.
-        status: "ok"; "ambiguous" where another of the targets, another pose of this one, or a surface of another shape
-            is not ruled out; "failed" where the target is there, but its returns leave its pose undetermined.
+        status: "ok"; "doubtful" where the returns do not fit the model; "ambiguous" where another of the targets,
+            another pose of this one, or a surface of another shape is not ruled out; "failed" where the target is
+            there, but its returns leave its pose undetermined.
         reason: why not "ok", else empty.
     """
 
@@ -119,6 +120,7 @@ class Detection(Value):
             "margin": self.margin if self.rival else None,
             "probabilities": dict(self.probabilities),
             "evidence": asdict(self.evidence),
+            "fit": estimate.fit.to_dict(),
         }
 
 

@@ -60,7 +60,7 @@ def _own(root: Node) -> SensorModel:
     parameters: dict[str, Any] = {
         attribute: fields[key].number() for key, attribute in _METRES.items() if key in fields
     }
-    for key in ("azimuth_step_deg", "beam_divergence_deg"):
+    for key in ("azimuth_step_deg", "beam_divergence_deg", "elevation_error_deg"):
         if key in fields:
             parameters[key.removesuffix("_deg")] = float(np.radians(fields[key].number()))
     if "azimuth_offsets_deg" in fields:
@@ -113,6 +113,7 @@ def save_sensor(path: str | Path, sensor: SensorModel) -> None:
         document["azimuth_step_deg"] = float(np.degrees(sensor.azimuth_step))
     if sensor.azimuth_offsets is not None:
         document["azimuth_offsets_deg"] = np.degrees(sensor.azimuth_offsets).tolist()
+    document["elevation_error_deg"] = float(np.degrees(sensor.elevation_error))
     document["beam_divergence_deg"] = float(np.degrees(sensor.beam_divergence))
     for key, attribute in _METRES.items():
         value = float(getattr(sensor, attribute))

@@ -12,7 +12,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.io.recordings import Recording, Skipped, Stamped
 from optshape_graph.io.recordings.topics import Mounting
 from optshape_graph.io.sessions import Session, load_session
-from optshape_graph.io.trajectories import Trajectory, read_tum
+from optshape_graph.io.trajectories import Trajectory, is_trajectory, read_trajectory
 from optshape_graph.mapping.batch import solve_batch
 from optshape_graph.mapping.batch_solution import BatchSolution
 from optshape_graph.mapping.incremental import LandmarkSlam
@@ -21,6 +21,8 @@ from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.observe import Observed, observe, observe_all
 from optshape_graph.mapping.odometry import OdometryTrack
 from optshape_graph.mapping.sweep import MotionNoise
+from optshape_graph.runs.journal import Journal
+from optshape_graph.runs.workers import Pool
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import PoseLike, as_transform, inverse
 from optshape_graph.sensor import SensorModel
@@ -69,6 +71,9 @@ class MapResult:
         state = "" if not self.problems else f", {len(self.problems)} problems"
         return f"MapResult({len(self.map.landmarks)} landmarks, {len(self.trajectory)} poses{state})"
 
+    def _repr_html_(self) -> str:
+        return self.map._repr_html_()
+
     @property
     def trajectory(self) -> Trajectory:
         """T_world_lidar over time."""
@@ -106,7 +111,8 @@ def map_recording(
     lag: float | None = None,
     batch: bool = True,
     as_built_sigma: float | None = None,
-    workers: int | None = None,
+    pool: Pool | None = None,
+    journal: Journal | None = None,
     report: Callable[[Progress], None] | None = None,
 ) -> MapResult:
     """Map the targets that a recording saw, and where it saw them from.
@@ -133,7 +139,8 @@ def map_recording(
         batch: solve for everything at once at the end.
         as_built_sigma: standard deviation to which the targets were built, metres: refines their vertices; None:
             templates are exact.
-        workers: processes that detect targets; None: one for each core, for recordings of many scans.
+        pool: what detects targets; None: a process for each core, for recordings of many scans.
+        journal: keeps what is seen, so that a run that was stopped goes on where it was; None: nothing is kept.
         report: called after every keyframe.
 
     Raises:
@@ -151,8 +158,9 @@ def map_recording(
         source.targets,
         one_each,
         as_built_sigma is not None,
-        _processes(source.expected) if workers is None else workers,
+        pool or Pool(_processes(source.expected)),
         biases=batch and lag is None,
+        journal=journal,
     )
     build_map(slam, seen, noise or MotionNoise(), progress, report)
     slam.settle()
@@ -216,14 +224,14 @@ def _opened(
     """Open a recording or a session, with its odometry."""
     if isinstance(recording, str | Path) and Path(recording).suffix.lower() in (".yaml", ".yml", ".json"):
         recording = load_session(recording)
-    if isinstance(odometry, str | Path) and Path(odometry).suffix == ".tum":
-        odometry = read_tum(odometry)
+    if isinstance(odometry, str | Path) and is_trajectory(odometry):
+        odometry = read_trajectory(odometry)
     poses = _stamped(odometry) if isinstance(odometry, Trajectory) else None
     if isinstance(recording, Session):
         if targets or sensor or scans:
             raise InputError(f"{recording.path}: a session names its own targets, sensor and scans")
         if odometry not in (None, "none") and poses is None:
-            raise InputError(f"{recording.path}: a session has no topic '{odometry}'; odometry comes from a .tum file")
+            raise InputError(f"{recording.path}: a session has no topic '{odometry}'; odometry comes from a file")
         missed = Skipped()
         return _Source(
             recording.path.stem, session_scans(recording, missed), len(recording.views), lambda: missed,

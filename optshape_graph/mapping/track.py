@@ -10,7 +10,14 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.factors import BiasedMeasurement, ShapeMeasurement, Summary, TemplateMeasurement, summarise
+from optshape_graph.factors import (
+    RANGE_BIAS,
+    BiasedMeasurement,
+    ShapeMeasurement,
+    Summary,
+    TemplateMeasurement,
+    summarise,
+)
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
 from optshape_graph.pose import PoseEstimate
@@ -70,10 +77,10 @@ class Sighting(Value):
             biases: whether to keep `biased`, so that a batch can tell what all scans have in common: some kilobytes.
 
         Raises:
-            InputError: the estimate failed.
+            InputError: the estimate failed or is doubtful.
         """
-        if estimate.status == "failed":
-            raise InputError(f"the estimate of target '{estimate.target.name}' failed ({estimate.reason})")
+        if not estimate.usable:
+            raise InputError(f"the estimate of target '{estimate.target.name}' is {estimate.status}: {estimate.reason}")
         best = estimate.measurement
         measurements: tuple[TemplateMeasurement, ...] = (best,)
         other = estimate.ambiguity.T_lidar_target
@@ -263,7 +270,7 @@ def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
     """
     if estimate.shared is None:
         return None
-    biased = estimate.shared.without([error for error in estimate.shared.shared if error.ring is None])
+    biased = estimate.shared.without([e for e in estimate.shared.shared if e.kind != RANGE_BIAS or e.ring is None])
     own = np.trace(biased.marginal(1.0).information(estimate.T_target_lidar))
     scale = float(np.sqrt(np.trace(estimate.measurement.information()) / own))
     return replace(biased, stack=biased.stack * min(scale, 1.0))

@@ -275,7 +275,7 @@ def _on_cluster(
         def submit() -> None:
             task = next(remaining, None)
             if task is not None:
-                future = client.submit(_OneThread(function), task[1], pure=False, retries=1)
+                future = client.submit(OneThread(function), task[1], pure=False, retries=1)
                 numbers[future.key] = task[0]
                 finished.add(future)  # type: ignore[no-untyped-call]
 
@@ -293,14 +293,20 @@ def _on_cluster(
                 yield number, future.result()
 
 
-class _OneThread(Generic[T, R]):
-    """A function on one thread of linear algebra: the sum of a product depends on how it is split."""
+class OneThread(Generic[T, R]):
+    """A function on one thread of linear algebra: the sum of a product depends on how it is split.
+
+    Args:
+        function: of a task.
+    """
 
     def __init__(self, function: Callable[[T], R]) -> None:
         self.function = function
 
     def __call__(self, task: T) -> R:
-        from threadpoolctl import threadpool_limits
-
+        try:
+            from threadpoolctl import threadpool_limits
+        except ImportError:  # without the extra `evaluate`
+            return self.function(task)
         with threadpool_limits(1):
             return self.function(task)
