@@ -207,7 +207,7 @@ def search_for_poses(
     seed: int,
     name: str = "target",
     *,
-    steps: int = 250,
+    steps: int = 100,
     progress: Callable[[int, int], None] | None = None,
     initial: Sequence[Floats] = (),
 ) -> FoundShape:

@@ -104,8 +104,8 @@ def _spread(drawing: Drawing, size: Floats) -> list[Sheet]:
     if columns * rows > MOST_SHEETS:
         width, height = extent / MM
         raise InputError(
-            f"{drawing.title}: {width:.1f} x {height:.1f} m are {columns * rows} sheets of {size[0]:g} x {size[1]:g} mm; "
-            f"at most {MOST_SHEETS} are made: take larger paper, or one large sheet"
+            f"{drawing.title}: {width:.1f} x {height:.1f} m are {columns * rows} sheets "
+            f"of {size[0]:g} x {size[1]:g} mm; at most {MOST_SHEETS} are made: take larger paper, or one large sheet"
         )
     corner = low - (np.array([columns, rows]) * window - extent) / 2
     starts, ends = _segments(drawing)

@@ -331,4 +331,4 @@ def _simulated_trial(trial: Trial, wish: Wish, seed: int) -> Trial:
             missed += estimate.status != "ok" or _need(wish, error.e_r, error.e_t) > 1.0
         if missed > allowed and number >= SCANS // 4:
             break
-    return replace(trial, statuses=tuple(statuses), e_r=frozen(e_r), e_t=frozen(e_t), passes=missed <= allowed)
+    return replace(trial, statuses=tuple(statuses), e_r=frozen(e_r), e_t=frozen(e_t), passes=bool(missed <= allowed))

@@ -75,7 +75,7 @@ def test_a_camera_at_the_lidar_sees_the_drawing(target):
     np.testing.assert_allclose(np.column_stack([right, up]) * 5000, lidar_face(target))
 
 
-@pytest.mark.parametrize("name", ["paper", "built", "triangle", "optimal5"])
+@pytest.mark.parametrize("name", ["paper", "built", "triangle", "score-optimal5"])
 def test_svg_reads_back(tmp_path, name):
     target = load_target(name)
     (path,) = export(draw(target), tmp_path / "target.svg")
@@ -124,7 +124,7 @@ def test_diagonals_and_centre_are_where_they_belong(target):
 
 
 def test_everything_is_on_the_page():
-    for name in ("paper", "triangle", "optimal"):
+    for name in ("paper", "triangle", "pose-optimal"):
         for area in (0.05, 1.0, 4.0):
             drawing = draw(load_target(name).scaled_to_area(area))
             points = np.concatenate([line.points for line in drawing.polylines])
