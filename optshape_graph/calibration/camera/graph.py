@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -106,7 +106,8 @@ class CalibrationGraph:
         sightings: of all views.
         base: name of the base LiDAR.
         range_bias_sigma: prior standard deviation of each LiDAR's range bias, metres; 0: there is none.
-        refined: names of the cameras whose lens is refined.
+        refined: names of the cameras whose lens is a variable; of one with more than four distortion terms, focal
+            lengths and principal point are.
     """
 
     def __init__(
@@ -117,9 +118,7 @@ class CalibrationGraph:
         self._targets = list(dict.fromkeys(sighting.target for sighting in sightings))
         self._points: dict[tuple[str, bool, tuple[float, ...]], int] = {}
         self._cameras = {
-            s.sensor: CompiledCamera.of(s.seen.camera, s.sensor in refined)
-            for s in sightings
-            if isinstance(s.seen, TargetInImage)
+            s.sensor: CompiledCamera.of(s.seen.camera) for s in sightings if isinstance(s.seen, TargetInImage)
         }
         self._measured = [self._measurement_factors(number, sighting) for number, sighting in enumerate(sightings)]
 
@@ -225,10 +224,11 @@ class CalibrationGraph:
                 noise = gtsam.noiseModel.Isotropic.Sigma(1, self._bias_sigma)
                 graph.push_back(gtsam.PriorFactorDouble(B(number), 0.0, noise))
             if K(number) in keys:
-                given = self._cameras[name].calibration
-                values.insert(K(number), CompiledCamera(start.cameras[name], False).calibration)
-                prior = getattr(gtsam, f"PriorFactor{type(given).__name__}")
-                graph.push_back(prior(K(number), given, gtsam.noiseModel.Diagonal.Sigmas(INTRINSICS_SIGMA)))
+                given = self._cameras[name]
+                values.insert(K(number), replace(given, intrinsics=start.cameras[name]).calibration)
+                prior = getattr(gtsam, f"PriorFactor{type(given.calibration).__name__}")
+                sigmas = INTRINSICS_SIGMA[: 5 if given.ideal else None]
+                graph.push_back(prior(K(number), given.calibration, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
 
     def _rig(self, values: gtsam.Values, start: Rig) -> Rig:
         T_base_sensor, range_bias, cameras = {self._base: np.eye(4)}, {}, dict(start.cameras)
