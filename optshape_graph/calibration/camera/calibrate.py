@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +28,8 @@ from optshape_graph.calibration.camera.result import CameraCalibration, ViewResu
 from optshape_graph.calibration.camera.session import read_views
 from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.camera.start import Start, find_start
-from optshape_graph.errors import EstimationError
+from optshape_graph.calibration.images.image_points import turn_about
+from optshape_graph.errors import EstimationError, InputError, UnobservableError
 from optshape_graph.io.sessions import Session, load_session
 
 FOLDS = 5
@@ -86,7 +88,7 @@ def calibrate(
         UnobservableError: the views leave directions of the extrinsic open, which it names.
     """
     views, unknowns = with_estimated_pixel_noise(views), unknowns or Unknowns()
-    start = find_start(views)
+    start = _start(views)
     base, cameras = next(iter(start.rig.T_base_sensor)), tuple(start.rig.cameras)
     lidars = dict.fromkeys([base, *(s.sensor for s in start.sightings if isinstance(s.seen, TargetInScan))])
     lenses = check_lenses(views)
@@ -111,7 +113,12 @@ def calibrate(
     errors = _errors(start.sightings, views, rig, range(len(views))) | left_out.views
     limit = LIMIT * scatter(squared, used)
     results = [
-        ViewResult(view, k in used, _reason(k, views, start, best, used, squared, limit), errors.get(k))
+        ViewResult(
+            view,
+            k in used,
+            "" if k in used else _reason(k, views, start, best, discrepancy, squared, limit),
+            errors.get(k),
+        )
         for k, view in enumerate(views)
     ]
     result = CameraCalibration(
@@ -133,16 +140,44 @@ def calibrate(
     return replace(result, findings=judge(result, unknowns))
 
 
+def _start(views: Sequence[View]) -> Start:
+    """Find the start, or say that the numbers of the chessboards' corners stand in the wrong order, if they do."""
+    try:
+        return find_start(views)
+    except UnobservableError:
+        raise
+    except EstimationError as error:
+        turned = [_turned(view) for view in views]
+        with suppress(EstimationError):
+            find_start(turned)
+            raise InputError(
+                f"{error}; they agree with the two numbers of 'inner_corners' in the other order"
+            ) from error
+        raise
+
+
+def _turned(view: View) -> View:
+    """Return a view with its chessboard read as if its rows were columns: turned by a quarter."""
+    board, image = view.target.chessboard, view.image
+    if board is None or image is None:
+        return view
+    quarters = tuple(turn_about(board.offset, k * np.pi / 2) for k in (1, 3))
+    return replace(view, image=replace(image, points=replace(image.points, symmetries=quarters)))
+
+
 def _reason(
-    number: int, views: Sequence[View], start: Start, rig: Rig, used: set[int], squared: Mapping[int, float],
+    number: int,
+    views: Sequence[View],
+    start: Start,
+    rig: Rig,
+    discrepancy: Discrepancy,
+    squared: Mapping[int, float],
     limit: float,
-) -> str:  # fmt: skip
-    """Say why a view takes no part; "" if it does."""
-    if number in used:
-        return ""
+) -> str:
+    """Say why a view takes no part."""
     if number not in squared:
         return views[number].problem or "no other sensor saw the target at that time"
-    return describe(number, views, start.sightings, rig, limit)
+    return describe(number, views, start.sightings, rig, discrepancy, limit)
 
 
 def _solve_robustly(
@@ -153,7 +188,7 @@ def _solve_robustly(
     for _ in range(2 * len(start.sightings) + 10):
         if len(used) < 2:
             reasons = [
-                f"{view.name}: {_reason(k, views, start, rig, used, squared, LIMIT)}"
+                f"{view.name}: {_reason(k, views, start, rig, discrepancy, squared, LIMIT)}"
                 for k, view in enumerate(views) if k not in used
             ]  # fmt: skip
             raise EstimationError(

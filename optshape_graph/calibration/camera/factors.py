@@ -112,8 +112,8 @@ class CompiledCamera:
         """
         if self.ideal:
             raise InputError(
-                f"camera '{self.intrinsics.name}': {len(self.intrinsics.D)} distortion terms; intrinsics of the pinhole "
-                f"model are refined with k1, k2, p1, p2 only"
+                f"camera '{self.intrinsics.name}': {len(self.intrinsics.D)} distortion terms; intrinsics of the "
+                f"pinhole model are refined with k1, k2, p1, p2 only"
             )
 
     @property

@@ -12,6 +12,7 @@ from optshape_graph.calibration.camera.result import CameraCalibration
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.free_shape import MeasuredShape
 from optshape_graph.calibration.verdict import Finding
+from optshape_graph.edges import extract_edge_points
 
 FEW_VIEWS = 5
 """Views below which a warning says that there is little evidence."""
@@ -21,6 +22,9 @@ FAR_BIAS = 3.0
 
 SCALE_OFF = (0.015, 4.0)
 """Share by which images and scans differ in the distances between placements at least, and in standard deviations."""
+
+MOST_DISCREPANCY = (3.0, 0.02)
+"""Scatter beyond the noise, deg and metres, that a real sensor and a bent board make at most."""
 
 LENS_OFF = 0.005
 """Shift of the principal point, in widths of the image, or half the change of a focal length, in its value, beyond
@@ -40,6 +44,7 @@ def judge(result: CameraCalibration, unknowns: Unknowns) -> tuple[Finding, ...]:
         *_of_bias(result, unknowns),
         *scale,
         *_of_edges(result),
+        *_of_discrepancy(result),
         *(finding for (lidar, _), shape in result.shapes.items() for finding in _of_shape(lidar, shape)),
         *(finding for lens in result.lenses for finding in _of_lens(result, lens)),
         *_of_planes(result),
@@ -69,8 +74,8 @@ def _of_bias(result: CameraCalibration, unknowns: Unknowns) -> list[Finding]:
         bias, _ = result.range_bias(lidar)
         if abs(bias) > FAR_BIAS * unknowns.range_bias_sigma > 0:
             text = (
-                f"the range bias of '{lidar}' would be {1e3 * bias:+.0f} mm, beyond {FAR_BIAS:g} standard deviations of "
-                f"its prior ({1e3 * unknowns.range_bias_sigma:g} mm): are the sizes of the pattern and the target right?"
+                f"the range bias of '{lidar}' would be {1e3 * bias:+.0f} mm, beyond {FAR_BIAS:g} standard deviations "
+                f"of its prior ({1e3 * unknowns.range_bias_sigma:g} mm): are the sizes of pattern and target right?"
             )
             found.append(Finding(text, True))
     return found
@@ -87,7 +92,7 @@ def _of_scale(result: CameraCalibration) -> list[Finding]:
     if len(centres) < FEW_VIEWS:
         return []
     by_image, by_scan = (np.array(points) - np.mean(points, axis=0) for points in zip(*centres, strict=True))
-    U, singular, Vt = np.linalg.svd(by_image.T @ by_scan)
+    U, _, Vt = np.linalg.svd(by_image.T @ by_scan)
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     ratio = float(np.sqrt((by_image**2).sum() / (by_scan**2).sum()))
     left = by_image - ratio * by_scan @ R.T
@@ -96,23 +101,43 @@ def _of_scale(result: CameraCalibration) -> list[Finding]:
     if abs(ratio - 1) < max(least, sigmas * sigma):
         return []
     text = (
-        f"the images see the placements {100 * abs(ratio - 1):.1f} % {'farther apart' if ratio > 1 else 'closer'} than "
-        f"the scans do (sd {100 * sigma:.1f} %): is the pattern's size right? It would be {ratio:.3f} times smaller"
+        f"the images see the placements {100 * abs(ratio - 1):.1f} % {'farther apart' if ratio > 1 else 'closer'} "
+        f"than the scans do (sd {100 * sigma:.1f} %): the pattern's size is probably {100 / ratio:.1f} % of what its "
+        f"file says"
     )
     return [Finding(text, True)]
 
 
 def _of_edges(result: CameraCalibration) -> list[Finding]:
+    """Compare where the rings end with how far the beam lets them: half a step and a beam's width about the edge."""
     found = []
     for lidar in result.lidars:
-        inset = result.edge_inset(lidar)
-        sensors = [
-            view.view.scan.own.sensor for view in result.views if view.view.scan and view.view.scan.lidar == lidar
-        ]
-        sensor = next((sensor for sensor in sensors if sensor is not None), None)
-        if sensor is None or not np.isfinite(inset):
+        scans = [view.view.scan for view in result.views if view.used and view.view.scan is not None]
+        own = next((scan.own for scan in scans if scan.lidar == lidar and scan.own.sensor is not None), None)
+        inset = np.degrees(result.edge_inset(lidar))
+        if own is None or own.sensor is None or not np.isfinite(inset):
             continue
+        step = own.sensor.azimuth_step or float(extract_edge_points(own).azimuth_step)
+        most = np.degrees(step / 2 + own.sensor.beam_divergence)
+        if abs(inset) > most:
+            where, size = ("inside", "smaller") if inset > 0 else ("outside", "larger")
+            text = (
+                f"the last returns of '{lidar}' lie {abs(inset):.2f} deg {where} the targets' edges, where its beam "
+                f"and its azimuth step explain {most:.2f}: is the target {size} than its file says?"
+            )
+            found.append(Finding(text, True))
     return found
+
+
+def _of_discrepancy(result: CameraCalibration) -> list[Finding]:
+    rotation, translation = np.degrees(result.discrepancy.rotation), result.discrepancy.translation
+    if rotation < MOST_DISCREPANCY[0] and translation < MOST_DISCREPANCY[1]:
+        return []
+    text = (
+        f"scans and images scatter by {1e3 * translation:.0f} mm and {rotation:.1f} deg beyond their noise: something "
+        f"is wrong with targets, times or sensor files that no view shows alone"
+    )
+    return [Finding(text, True)]
 
 
 def _of_shape(lidar: str, shape: MeasuredShape) -> list[Finding]:

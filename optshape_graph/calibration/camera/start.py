@@ -61,8 +61,8 @@ def find_start(views: Sequence[View]) -> Start:
     readings = [reading for group in placements.values() for reading in group]
     lidars = [reading.sensor for reading in readings if isinstance(reading.seen, TargetInScan)]
     if not lidars:
-        problem = next((view.problem for view in views if view.problem), "")
-        raise EstimationError("no target was found in any scan" + (f"; the first: {problem}" if problem else ""))
+        problems = dict.fromkeys(view.problem for view in views if view.problem)
+        raise EstimationError("; ".join(["no target was found in any scan", *problems]))
     base = lidars[0]
     T_base_sensor = _connected(base, readings, list(placements.values()))
 

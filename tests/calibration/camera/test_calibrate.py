@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from optshape_graph.calibration.camera.calibrate import calibrate
-from optshape_graph.calibration.camera.export import as_document
 from optshape_graph.calibration.camera.graph import Unknowns
 from optshape_graph.calibration.camera.sightings import View
 from optshape_graph.calibration.images.planar_pose import planar_poses
@@ -178,7 +177,7 @@ def test_several_sensors_jointly(tmp_path):
     ):
         x, covariance = error(result, a, b, truth)
         assert x @ np.linalg.solve(covariance, x) < 22.5, (a, b)
-    write_json(tmp_path / "camera.json", as_document(result))
+    write_json(tmp_path / "camera.json", result.to_dict())
     assert complaint(tmp_path / "camera.json") is None
 
 
