@@ -104,7 +104,9 @@ def calibrate(
         raise EstimationError(f"no view of {', '.join(missing)} agrees with those of the other sensors")
     scans = [s for s in start.sightings if s.sensor == base and used & set(s.views)]
     # What is not known of the lenses, refined or not, is part of what is not known of the cameras' places.
-    uncertainty = graph_of(unknowns.range_bias_sigma, cameras).uncertainty(used.__contains__, best, discrepancy)
+    everything_free = graph_of(unknowns.range_bias_sigma, cameras)
+    most_likely = everything_free.solve(used.__contains__, best, discrepancy)
+    uncertainty = everything_free.uncertainty(used.__contains__, most_likely, discrepancy)
     check_observable(uncertainty, middle(scans))
     graph = graph_of(0.0, refined)  # for clouds as they come
     rig, discrepancy = _settled(graph, start, best, used)
@@ -127,6 +129,7 @@ def calibrate(
         rig=rig,
         corrected=best if unknowns.range_bias_sigma > 0 else None,
         given=given if refined else None,
+        most_likely=most_likely,
         uncertainty=uncertainty,
         views=tuple(results),
         cross_validations=(left_out, k_fold),

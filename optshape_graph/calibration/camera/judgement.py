@@ -20,8 +20,11 @@ FEW_VIEWS = 5
 FAR_BIAS = 3.0
 """Range bias, in standard deviations of its prior, beyond which something else is wrong."""
 
-SCALE_OFF = (0.015, 4.0)
+SCALE_OFF = (0.025, 4.0)
 """Share by which images and scans differ in the distances between placements at least, and in standard deviations."""
+
+SIGMAS = 2.5
+"""Standard deviations by which the median of the scans' insets must be beyond what beam and step explain."""
 
 MOST_DISCREPANCY = (3.0, 0.02)
 """Scatter beyond the noise, deg and metres, that a real sensor and a bent board make at most."""
@@ -114,12 +117,15 @@ def _of_edges(result: CameraCalibration) -> list[Finding]:
     for lidar in result.lidars:
         scans = [view.view.scan for view in result.views if view.used and view.view.scan is not None]
         own = next((scan.own for scan in scans if scan.lidar == lidar and scan.own.sensor is not None), None)
-        inset = np.degrees(result.edge_inset(lidar))
+        inset = np.degrees(result.edge_inset(lidar) + _by_bias(result, lidar))
         if own is None or own.sensor is None or not np.isfinite(inset):
             continue
         step = own.sensor.azimuth_step or float(extract_edge_points(own).azimuth_step)
         most = np.degrees(step / 2 + own.sensor.beam_divergence)
-        if abs(inset) > most:
+        insets = result.edge_insets(lidar)
+        # Of a median, were the scans' insets Gaussian.
+        sigma = np.degrees(insets.std()) * np.sqrt(np.pi / 2 / len(insets))
+        if abs(inset) > most + SIGMAS * sigma:
             where, size = ("inside", "smaller") if inset > 0 else ("outside", "larger")
             text = (
                 f"the last returns of '{lidar}' lie {abs(inset):.2f} deg {where} the targets' edges, where its beam "
@@ -127,6 +133,15 @@ def _of_edges(result: CameraCalibration) -> list[Finding]:
             )
             found.append(Finding(text, True))
     return found
+
+
+def _by_bias(result: CameraCalibration, lidar: str) -> float:
+    """Return by what angle, rad, a range bias moves the last returns outward: what seems farther seems larger."""
+    scans = [view.view.scan for view in result.views if view.used and view.view.scan is not None]
+    targets = [view.view.target for view in result.views if view.used]
+    depth = float(np.mean([2 * target.area / target.edge_lengths.sum() for target in targets]))
+    ranges = [np.linalg.norm(scan.T_lidar_target[:3, 3]) for scan in scans if scan.lidar == lidar]
+    return result.range_bias(lidar)[0] * depth / float(np.median(ranges)) ** 2
 
 
 def _of_discrepancy(result: CameraCalibration) -> list[Finding]:

@@ -55,7 +55,8 @@ class CameraCalibration:
         corrected: where they are, for clouds whose ranges are corrected by its `range_bias`; None where no bias is
             estimated.
         given: where they are, for clouds as they come and the lenses as they were given; None where none was refined.
-        uncertainty: of the places in `corrected`, or in `rig` where there is none.
+        most_likely: where they are if range biases and all lenses may be off, the given ones being a prior.
+        uncertainty: of those places.
         views: what became of them, in the order given.
         cross_validations: leave-one-out, and k-fold.
         discrepancy: what the scans scatter beyond their noise model; the covariances allow for it.
@@ -71,6 +72,7 @@ class CameraCalibration:
     rig: Rig
     corrected: Rig | None
     given: Rig | None
+    most_likely: Rig
     uncertainty: Uncertainty
     views: tuple[ViewResult, ...]
     cross_validations: tuple[CrossValidation, ...]
@@ -99,22 +101,25 @@ class CameraCalibration:
     def transform(self, a: str, b: str, rig: Rig | None = None) -> tuple[Floats, Floats]:
         """Return T_a_b (4, 4) of two sensors, and the covariance (6, 6) of its right perturbation (frame b).
 
-        The covariance is that of where the sensors are: where a range bias or a lens moves the transform away from
-        that, it allows for it.
+        The covariance is that of where the sensors are. A range bias in the clouds, or a lens that is not quite as
+        given, moves the transform away from the most likely one, and the covariance allows for it: the mean square
+        error of T is P + m m^T, P being the covariance of the most likely one and m the difference of the two.
 
         Args:
             a: a sensor's name.
             b: another's.
             rig: `rig`, which is for clouds as they come (by default), `corrected` or `given`.
         """
-        rig, best, rows = rig or self.rig, self.corrected or self.rig, self.uncertainty.rows
-        T, T_best = (inverse(each.T_base_sensor[a]) @ each.T_base_sensor[b] for each in (rig, best))
+        rows = self.uncertainty.rows
+        T, T_likely = (
+            inverse(each.T_base_sensor[a]) @ each.T_base_sensor[b] for each in (rig or self.rig, self.most_likely)
+        )
         J = np.zeros((6, len(self.uncertainty.covariance)))
         # (T_a Exp(x_a))^-1 T_b Exp(x_b) = T_a_b Exp(x_b - Ad(T_b_a) x_a)
-        for name, block in ((b, np.eye(6)), (a, -adjoint(inverse(T_best)))):
+        for name, block in ((b, np.eye(6)), (a, -adjoint(inverse(T_likely)))):
             if ("pose", name) in rows:
                 J[:, rows["pose", name]] += block
-        moved = difference(T, T_best)
+        moved = difference(T, T_likely)
         return T, J @ self.uncertainty.covariance @ J.T + np.outer(moved, moved)
 
     def range_bias(self, lidar: str) -> tuple[float, float]:
@@ -124,14 +129,19 @@ class CameraCalibration:
         row = self.uncertainty.rows["range_bias", lidar].start
         return self.corrected.range_bias[lidar], float(np.sqrt(self.uncertainty.covariance[row, row]))
 
-    def edge_inset(self, lidar: str) -> float:
-        """Return the median azimuth from a ring's last return to the target's edge over a LiDAR's used scans, rad.
+    def edge_insets(self, lidar: str) -> Floats:
+        """Return the azimuths (N,), rad, from a ring's last return to the target's edge in a LiDAR's used scans.
 
-        Not a number where the clouds have no rings.
+        Each is the median of a scan; clouds without rings have none.
         """
         scans = {id(result.view.scan): result.view.scan for result in self.views if result.used and result.view.scan}
-        insets = [scan.edge_inset for scan in scans.values() if scan.lidar == lidar and np.isfinite(scan.edge_inset)]
-        return float(np.median(insets)) if insets else float("nan")
+        insets = np.array([scan.edge_inset for scan in scans.values() if scan.lidar == lidar], dtype=float)
+        return np.asarray(insets[np.isfinite(insets)])
+
+    def edge_inset(self, lidar: str) -> float:
+        """Return the median azimuth, rad, from a ring's last return to the target's edge; not a number without rings."""
+        insets = self.edge_insets(lidar)
+        return float(np.median(insets)) if len(insets) else float("nan")
 
     def pairs(self, lidar: str, camera: str) -> list[tuple[Sighting, Sighting]]:
         """Return the scans and images of the used views that the two sensors took together."""
@@ -140,14 +150,14 @@ class CameraCalibration:
 
     def directions(self, lidar: str, camera: str) -> list[Direction]:
         """Return the principal directions of the uncertainty of T_camera_lidar, the worst first."""
-        return principal_directions(self.transform(camera, lidar, self.corrected)[1], self._middle(lidar))
+        return principal_directions(self.transform(camera, lidar, self.most_likely)[1], self._middle(lidar))
 
     def next_placement(self, lidar: str, camera: str) -> NextPlacement | None:
         """Suggest where to put the target next; None where the two took no view together."""
         pairs = self.pairs(lidar, camera)
         if not pairs:
             return None
-        T, covariance = self.transform(camera, lidar, self.corrected)
+        T, covariance = self.transform(camera, lidar, self.most_likely)
         target = self.views[pairs[0][0].views[0]].view.target
         return suggest_placement(target, pairs, self.rig.cameras[camera], T, covariance)
 

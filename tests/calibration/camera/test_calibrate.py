@@ -208,7 +208,7 @@ def test_leave_one_out_does_not_see_the_view(views, calibration):
     others = calibrate([view for k, view in enumerate(views) if k != 4])
     T = others.transform("cam", "lidar")[0]
     scan, image = views[4].scan, views[4].image
-    predicted = T @ scan.pose(others.range_bias("lidar")[0])
+    predicted = T @ scan.pose(0.0)
     centres = [pose @ np.linalg.inv(S) for S in image.points.symmetries for pose in [image.poses[0].T_camera_target]]
     distances = [1e3 * np.linalg.norm(predicted[:3, 3] - C[:3, 3]) for C in centres]
     # The discrepancy is estimated from all views there, and from the others here.
@@ -238,5 +238,5 @@ def test_two_views_are_not_called_parallel(views):
 
 def test_why_no_target_was_found(views):
     nothing = [replace(view, scan=None, problem="a.pcd: no board") for view in views[:3]]
-    with pytest.raises(EstimationError, match=r"no target was found in any scan; the first: a\.pcd: no board"):
+    with pytest.raises(EstimationError, match=r"no target was found in any scan; a\.pcd: no board"):
         calibrate(nothing)
