@@ -11,8 +11,9 @@ from scipy.stats import chi2
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.graph import Discrepancy, Rig, Sighting
-from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan, View, candidates
+from optshape_graph.calibration.camera.sightings import TargetInScan, View, candidates
 from optshape_graph.calibration.images.planar_pose import refine_pose
+from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.se3 import angle, difference, inverse
 
 FALSE_REJECTION = 1e-4

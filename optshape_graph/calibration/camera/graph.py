@@ -18,8 +18,9 @@ from optshape_graph.calibration.camera.factors import (
     as_vector,
     coupling_factor,
 )
-from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan
+from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.camera.uncertainty import Uncertainty, uncertainty_of
+from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.factors import TemplateFactor
 from optshape_graph.se3 import adjoint, inverse

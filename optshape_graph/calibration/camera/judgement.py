@@ -9,6 +9,7 @@ from optshape_graph.calibration.camera.graph import Unknowns
 from optshape_graph.calibration.camera.lens import LensCheck
 from optshape_graph.calibration.camera.observability import parallel_planes
 from optshape_graph.calibration.camera.result import CameraCalibration
+from optshape_graph.calibration.camera.sides import sides_in_images
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.free_shape import MeasuredShape
 from optshape_graph.calibration.verdict import Finding
@@ -22,6 +23,9 @@ FAR_BIAS = 3.0
 
 SCALE_OFF = (0.025, 4.0)
 """Share by which images and scans differ in the distances between placements at least, and in standard deviations."""
+
+SIDES_OFF = (0.01, 5.0)
+"""Difference of a side by the images from the target's file: metres at least, and standard deviations."""
 
 SIGMAS = 2.5
 """Standard deviations by which the median of the scans' insets must be beyond what beam and step explain."""
@@ -47,6 +51,7 @@ def judge(result: CameraCalibration, unknowns: Unknowns) -> tuple[Finding, ...]:
         *_of_bias(result, unknowns),
         *scale,
         *_of_edges(result),
+        *_of_sides(result),
         *_of_discrepancy(result),
         *(finding for (lidar, _), shape in result.shapes.items() for finding in _of_shape(lidar, shape)),
         *(finding for lens in result.lenses for finding in _of_lens(result, lens)),
@@ -130,6 +135,24 @@ def _of_edges(result: CameraCalibration) -> list[Finding]:
             text = (
                 f"the last returns of '{lidar}' lie {abs(inset):.2f} deg {where} the targets' edges, where its beam "
                 f"and its azimuth step explain {most:.2f}: is the target {size} than its file says?"
+            )
+            found.append(Finding(text, True))
+    return found
+
+
+def _of_sides(result: CameraCalibration) -> list[Finding]:
+    """Compare the targets' sides by the images with their files."""
+    targets = {number: view.view.target for number, view in enumerate(result.views) if view.used}
+    found = []
+    for seen in sides_in_images(targets, result.sightings, result.rig):
+        off = np.abs(seen.sides - seen.target.edge_lengths)
+        least, sigmas = SIDES_OFF
+        if (off > np.maximum(least, sigmas * seen.sigma)).any():
+            measured = " ".join(f"{1e3 * side:.0f}" for side in seen.sides)
+            stated = " ".join(f"{1e3 * side:.0f}" for side in seen.target.edge_lengths)
+            text = (
+                f"the sides of target '{seen.target.name}' by the images ({measured} mm, the pattern being the scale) "
+                f"contradict its file ({stated} mm): measure the target and its pattern"
             )
             found.append(Finding(text, True))
     return found

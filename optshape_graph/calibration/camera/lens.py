@@ -10,9 +10,10 @@ from scipy.stats import f as f_distribution
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.factors import INTRINSICS_SIGMA, LENS, CompiledCamera
-from optshape_graph.calibration.camera.sightings import TargetInImage, View
+from optshape_graph.calibration.camera.sightings import View
 from optshape_graph.calibration.images.planar_pose import whitened_errors
 from optshape_graph.calibration.images.projection import project
+from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.errors import InputError
 from optshape_graph.se3 import apply
 

@@ -139,7 +139,7 @@ class CameraCalibration:
         return np.asarray(insets[np.isfinite(insets)])
 
     def edge_inset(self, lidar: str) -> float:
-        """Return the median azimuth, rad, from a ring's last return to the target's edge; not a number without rings."""
+        """Return the median of the scans' `edge_insets`, rad; not a number where the clouds have no rings."""
         insets = self.edge_insets(lidar)
         return float(np.median(insets)) if len(insets) else float("nan")
 

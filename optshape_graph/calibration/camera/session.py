@@ -13,8 +13,8 @@ from scipy.cluster.hierarchy import DisjointSet
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.checks import check_session
 from optshape_graph.calibration.camera.crops import planar_returns
-from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan, View
-from optshape_graph.calibration.images.reading import ImageTask, find_targets
+from optshape_graph.calibration.camera.sightings import TargetInScan, View
+from optshape_graph.calibration.images.reading import ImageTask, TargetInImage, find_targets
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import RANGE_BIAS, SharedError

@@ -8,9 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from optshape_graph._arrays import Floats, frozen
-from optshape_graph.calibration.images.image_points import ImagePoints
-from optshape_graph.calibration.images.planar_pose import PlanarPose
-from optshape_graph.camera import CameraIntrinsics
+from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.factors import SharedError, TemplateMeasurement
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, inverse
@@ -70,23 +68,6 @@ class TargetInScan:
         T = np.array(self.T_lidar_target)
         T[:3, 3] -= range_bias * self.ray
         return T
-
-
-@dataclass(frozen=True, eq=False)
-class TargetInImage:
-    """One target in one image.
-
-    Attributes:
-        camera: the intrinsics; their name is the camera's.
-        image: the image's name.
-        points: points of the target with their pixels.
-        poses: the one or two poses that explain them, the better one first.
-    """
-
-    camera: CameraIntrinsics
-    image: str
-    points: ImagePoints
-    poses: tuple[PlanarPose, ...]
 
 
 @dataclass(frozen=True, eq=False)

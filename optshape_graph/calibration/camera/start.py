@@ -9,8 +9,9 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.graph import Rig, Sighting
-from optshape_graph.calibration.camera.sightings import Candidate, TargetInImage, TargetInScan, View, candidates
+from optshape_graph.calibration.camera.sightings import Candidate, TargetInScan, View, candidates
 from optshape_graph.calibration.consensus import CUT, Consensus, distances, relative_pose
+from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.errors import EstimationError, UnobservableError
 from optshape_graph.se3 import inverse
 

@@ -11,12 +11,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from optshape_graph.calibration.camera.sightings import TargetInImage
 from optshape_graph.calibration.images.chessboard import find_chessboard, shown_counts
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.outline import fit_outline
 from optshape_graph.calibration.images.pixel_table import read_pixel_table
-from optshape_graph.calibration.images.planar_pose import planar_poses
+from optshape_graph.calibration.images.planar_pose import PlanarPose, planar_poses
 from optshape_graph.calibration.images.tags import find_tags
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import EstimationError, InputError
@@ -28,6 +27,23 @@ LARGEST_ERROR = 5.0
 """Reprojection error, in standard deviations of the pixels, beyond which intrinsics or pattern are others than stated.
 
 Published intrinsics leave 0.1 to 0.3 px of a chessboard's 0.2; those of another lens model leave 1.2 px and more."""
+
+
+@dataclass(frozen=True, eq=False)
+class TargetInImage:
+    """One target in one image.
+
+    Attributes:
+        camera: the intrinsics; their name is the camera's.
+        image: the image's name.
+        points: points of the target with their pixels.
+        poses: the one or two poses that explain them, the better one first.
+    """
+
+    camera: CameraIntrinsics
+    image: str
+    points: ImagePoints
+    poses: tuple[PlanarPose, ...]
 
 
 Found: TypeAlias = TargetInImage | EstimationError | InputError

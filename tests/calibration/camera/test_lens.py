@@ -66,6 +66,6 @@ def test_calibration_refines_what_the_images_contradict(views):
 
     assert centre_mm(refined) < 1.25 * centre_mm(right)  # that the lens is not known costs something
     assert centre_mm(refined) < centre_mm(kept)
-    # The principal point may be refined too, and here it is right: it stays within a few of the pixels that it is known to.
+    # The principal point is refined too; here it was right, and stays so within a few pixels.
     np.testing.assert_allclose(refined.rig.cameras["cam"].K[:2, 2], BENT.K[:2, 2], atol=6.0)
     np.testing.assert_allclose(refined.given.cameras["cam"].K, BENT.K)
