@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, Ints, Value, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen, shortened
 from optshape_graph.errors import InputError
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SensorModel(Value):
     """A spinning multi-beam LiDAR.
 
@@ -21,6 +21,8 @@ class SensorModel(Value):
         azimuth_step: rad between two firings of a beam; None: estimated from the returns.
         range_noise: standard deviation of one range, metres.
         ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
+        elevation_error: standard deviation over rings of how far elevations are off the table, rad. Makers state or are
+            found to keep a twentieth to a tenth of a degree.
         beam_divergence: full angle of the beam, rad.
         beam_aperture: width of the beam where it leaves the sensor, metres.
         beam_crossing: where the beams cross, horizontal distance from the axis, metres; drivers report heights as if
@@ -40,6 +42,7 @@ class SensorModel(Value):
     azimuth_step: float | None = None
     range_noise: float = 0.01
     ring_bias: float = 0.01
+    elevation_error: float = np.radians(0.1)
     beam_divergence: float = 0.0
     beam_aperture: float = 0.0
     beam_crossing: float = 0.0
@@ -66,6 +69,7 @@ class SensorModel(Value):
         for field in (
             "range_noise",
             "ring_bias",
+            "elevation_error",
             "beam_divergence",
             "beam_aperture",
             "beam_crossing",
@@ -92,7 +96,7 @@ class SensorModel(Value):
 
     def __repr__(self) -> str:
         low, high = np.degrees(self.elevations[[0, -1]])
-        return f"SensorModel('{self.name}', {self.n_rings} rings, {low:.4g} to {high:.4g} deg)"
+        return shortened(f"SensorModel('{self.name}', {self.n_rings} rings, {low:.4g} to {high:.4g} deg)")
 
     @property
     def n_rings(self) -> int:

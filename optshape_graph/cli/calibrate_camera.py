@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from optshape_graph.cli.options import outside_option
+from optshape_graph.cli.options import force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -33,10 +33,12 @@ if TYPE_CHECKING:
     show_default=True,
     help="Prior standard deviation of a LiDAR's range bias, metres; 0: it has none.",
 )
+@force_option
 @outside_option
 def command(
     session: Path,
     allow_outside: bool,
+    force: bool,
     json_path: Path | None,
     plots: Path | None,
     camchain: Path | None,
@@ -54,10 +56,15 @@ def command(
     from optshape_graph.calibration.camera.checks import check_camchain
     from optshape_graph.calibration.camera.export import kalibr_camchain
     from optshape_graph.cli.console import progress_bar
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_session
     from optshape_graph.io.documents import write_json, write_yaml
 
     loaded = load_session(session, allow_outside=allow_outside)
+    outputs = Outputs([session, *loaded.files()], force=force)
+    outputs.file("--json", json_path, "camera-calibration")
+    outputs.file("--camchain", camchain)
+    outputs.folder("--plot", plots)
     if camchain:
         check_camchain(loaded)
     with progress_bar("images, scans and cross-validation") as progress:
@@ -144,7 +151,7 @@ def _print_pair(calibration: CameraCalibration, camera: str, lidar: str) -> None
     print_transform(f"T_{lidar}_{camera}", "its inverse", T_inverse, covariance_inverse)
     bias, sigma = calibration.range_bias(lidar)
     if calibration.corrected is not None:
-        meaning = f"for clouds whose ranges are corrected, {1e3 * bias:+.1f} mm subtracted from each, and {lens}"
+        meaning = f"for clouds with the range bias of {1e3 * bias:+.1f} mm subtracted from every range, and {lens}"
         print_transform(
             f"T_{camera}_{lidar}_corrected", meaning, *calibration.transform(camera, lidar, calibration.corrected)
         )

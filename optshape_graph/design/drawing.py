@@ -11,8 +11,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.design.polygons import centroids
+from optshape_graph.names import shown
 from optshape_graph.target import Target
 
 MM = 1000.0
@@ -32,8 +33,8 @@ class Layer(StrEnum):
     SHEET = "SHEET"
 
 
-@dataclass(frozen=True, eq=False)
-class Polyline:
+@dataclass(frozen=True, eq=False, repr=False)
+class Polyline(Value):
     """A polyline.
 
     Attributes:
@@ -116,7 +117,7 @@ def draw(target: Target) -> Drawing:
     _check_bar(low, h, lines, texts)
     right, bottom = 5.5 * h, 8.0 * h
     return Drawing(
-        target.name,
+        shown(target.name),
         tuple(lines),
         tuple(texts),
         (float(low[0] - 7.5 * h), float(low[1] - bottom)),
@@ -183,7 +184,7 @@ def _title(target: Target, face: Floats, h: float, texts: list[Text]) -> None:
     x = float(centroids(face)[0])
     y = float(face[:, 1].min()) - 3.8 * h
     texts.append(Text((0.0, -4.0 * h), "THIS SIDE TO THE LiDAR", Layer.MARK, 1.1 * h))
-    texts.append(Text((x, y), f"{target.name}   {target.area:.4g} m²   scale 1:1   mm", Layer.MARK, h))
+    texts.append(Text((x, y), f"{shown(target.name)}   {target.area:.4g} m²   scale 1:1   mm", Layer.MARK, h))
 
 
 def _check_bar(low: Floats, h: float, lines: list[Polyline], texts: list[Text]) -> None:

@@ -61,11 +61,31 @@ def export(drawing: Drawing, path: Path, paper: str | None = None) -> list[Path]
     if suffix == "pdf":
         write_atomically(path, _pdf(drawing, sheets))
         return [path]
-    many = len(sheets) > 1
-    paths = [path.with_stem(f"{path.stem}-{i + 1}") if many else path for i in range(len(sheets))]
+    paths = _numbered(path, len(sheets))
     for sheet_path, sheet in zip(paths, sheets, strict=True):
         write_atomically(sheet_path, _svg(drawing, sheet))
     return paths
+
+
+def files_of(drawing: Drawing, path: Path, paper: str | None = None) -> list[Path]:
+    """Return the files that `export` writes.
+
+    Args:
+        drawing: the drawing.
+        path: the file: .svg, .pdf or .dxf.
+        paper: as `export` takes it.
+
+    Raises:
+        InputError: the paper is not known, or there would be too many sheets.
+    """
+    if path.suffix.lower() == ".dxf":
+        return [path]
+    sheets = lay_out(drawing, paper)
+    return _numbered(path, len(sheets)) if path.suffix.lower() == ".svg" else [path]
+
+
+def _numbered(path: Path, count: int) -> list[Path]:
+    return [path.with_stem(f"{path.stem}-{i + 1}") if count > 1 else path for i in range(count)]
 
 
 def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
@@ -73,12 +93,15 @@ def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
 
     Raises:
         MissingExtraError: matplotlib is absent.
+        InputError: its settings are wrong.
     """
     try:
         from matplotlib.figure import Figure
         from matplotlib.patches import Polygon, Rectangle
     except ImportError as cause:
         raise missing_extra("matplotlib", "design", cause) from cause
+    except ValueError as error:  # of its settings, the environment's included
+        raise InputError(f"matplotlib does not start: {error} (is the variable MPLBACKEND wrong?)") from error
     width, height = sheet.size
     x, y = sheet.origin
     figure = Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH))
@@ -115,6 +138,7 @@ def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
                 color=COLOURS[text.layer],
                 fontsize=text.height / CAP_HEIGHT * POINTS_PER_MM,
                 family="DejaVu Sans",
+                parse_math=False,  # a name may have dollars
             )
             if clip is not None:
                 artist.set_clip_path(clip)

@@ -15,6 +15,9 @@ BORDER = 12.0
 
 MM = 1000.0
 
+MOST_SHEETS = 400
+"""Of one drawing: A4 of a target of 3.5 m."""
+
 
 @dataclass(frozen=True)
 class Sheet:
@@ -46,7 +49,7 @@ def lay_out(drawing: Drawing, paper: str | None) -> list[Sheet]:
             large as the drawing.
 
     Raises:
-        InputError: the format is not known.
+        InputError: the format is not known, or there would be more sheets than anybody joins.
     """
     low, high = np.array(drawing.low), np.array(drawing.high)
     extent = high - low
@@ -59,6 +62,12 @@ def lay_out(drawing: Drawing, paper: str | None) -> list[Sheet]:
         raise InputError(f"paper '{paper}' is not known; expected one of {', '.join(SHEETS)}")
     window = size - 2 * BORDER
     columns, rows = (int(count) for count in np.ceil(extent / window - 1e-9))
+    if columns * rows > MOST_SHEETS:
+        width, height = extent / MM
+        raise InputError(
+            f"{drawing.title}: {width:.1f} x {height:.1f} m are {columns * rows} sheets of {paper}; "
+            f"at most {MOST_SHEETS} are made: take larger paper, or one large sheet"
+        )
     corner = low - (np.array([columns, rows]) * window - extent) / 2
     sheets = []
     for row in range(rows):

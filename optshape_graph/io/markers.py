@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.io.files import read_text
 from optshape_graph.io.mocap import MocapRecording, read_mocap
@@ -22,8 +22,8 @@ _COLUMNS = ("frame", "marker", "x", "y", "z")
 _SMALLEST_EXTENT_M = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class Markers:
+@dataclass(frozen=True, eq=False, repr=False)
+class Markers(Value):
     """Marker positions over frames.
 
     Attributes:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+from optshape_graph._arrays import Value
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.builtin import builtin_names
@@ -48,8 +49,8 @@ class View:
     corners: Path | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Mocap:
+@dataclass(frozen=True, eq=False, repr=False)
+class Mocap(Value):
     """Motion capture of a session.
 
     Attributes:
@@ -63,8 +64,8 @@ class Mocap:
     vertices: Mapping[str, tuple[str, int]]
 
 
-@dataclass(frozen=True, eq=False)
-class Session:
+@dataclass(frozen=True, eq=False, repr=False)
+class Session(Value):
     """A session, of either form of file.
 
     In the short form the one LiDAR, camera and target go by their own names.
@@ -86,6 +87,11 @@ class Session:
     targets: Mapping[str, Target]
     views: tuple[View, ...]
     mocap: Mocap | None = None
+
+    def files(self) -> list[Path]:
+        """Return the files of the views."""
+        named = [(view.scan, view.image, view.target_points, view.corners) for view in self.views]
+        return [path for paths in named for path in paths if path is not None]
 
 
 def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:

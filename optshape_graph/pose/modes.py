@@ -8,15 +8,16 @@ is known, of beams without width, poses are drawn about each mode and the likeli
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import gammaln, logsumexp
 
-from optshape_graph._arrays import Bools, Floats
+from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
+from optshape_graph.gaussian import logsumexp
 from optshape_graph.pose.likelihood import (
     Firings,
     alternative_labels,
@@ -53,8 +54,8 @@ _WIDENING = 1.3  # of the posterior's standard deviations
 _ENOUGH = 100  # effective samples
 
 
-@dataclass(frozen=True, eq=False)
-class Modes:
+@dataclass(frozen=True, eq=False, repr=False)
+class Modes(Value):
     """The best mode, and what else it might be.
 
     Attributes:
@@ -233,8 +234,8 @@ def _overlap(T: Floats, covariance: Floats, floor: Floats | float = 0.0) -> Bool
     return np.asarray(np.einsum("ci,ci->c", xi, np.linalg.solve(both, xi[..., None])[..., 0]) < 9.0)
 
 
-@dataclass(frozen=True, eq=False)
-class SampledMode:
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledMode(Value):
     """What samples about a mode say of it.
 
     Attributes:
@@ -284,7 +285,7 @@ def sample_mode(T_target_lidar: Floats, covariance: Floats, problem: Problem, fi
 
 
 _LOG_NORMALISER = float(
-    np.log(SAMPLES) + gammaln((_FREEDOM + 6) / 2) - gammaln(_FREEDOM / 2) - 3 * np.log(_FREEDOM * np.pi)
+    np.log(SAMPLES) + math.lgamma((_FREEDOM + 6) / 2) - math.lgamma(_FREEDOM / 2) - 3 * np.log(_FREEDOM * np.pi)
 )
 
 

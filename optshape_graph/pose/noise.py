@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph.edges import upward
 from optshape_graph.factors.measurement import template_rows
-from optshape_graph.factors.static import RANGE_BIAS, BiasedMeasurement, SharedError
+from optshape_graph.factors.static import ELEVATION, RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
@@ -99,8 +100,8 @@ def _outermost() -> tuple[Floats, Floats, Floats]:
     return steps, np.maximum(shift, 0.0), np.minimum(share, 1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class PlaneReturns:
+@dataclass(frozen=True, eq=False, repr=False)
+class PlaneReturns(Value):
     """Every return against the plane of the target: e_x . (R p + t) - c, with its noise.
 
     A range error moves a return along its ray, and so moves the residual and the row's own coefficients together:
@@ -122,6 +123,29 @@ class PlaneReturns:
     errors: tuple[SharedError, ...]
     bias: Floats
     coupling: Floats
+
+    def select(self, mask: Bools) -> PlaneReturns:
+        """Return some of them, of a mask (N,)."""
+        rows = {name: getattr(self, name)[mask] for name in ("points", "offset", "sigma", "bias", "coupling")}
+        return replace(self, **rows)
+
+    def with_elevations(self, normal: Floats, ring: Ints, sigma: float) -> PlaneReturns:
+        """Return them with an error of each ring's elevation, of a standard deviation in rad.
+
+        Args:
+            normal: (3,) unit normal of the plane, LiDAR frame.
+            ring: (N,) of each return.
+            sigma: rad.
+        """
+        rings, column = np.unique(ring, return_inverse=True)
+        moved = np.zeros((len(ring), len(rings)))
+        moved[np.arange(len(ring)), column] = sigma * (upward(self.points) @ normal) / self.sigma
+        errors = (*self.errors, *(SharedError(ELEVATION, ring=int(k)) for k in rings))
+        return replace(self, errors=errors, bias=np.hstack([self.bias, moved]))
+
+    def widened(self, noise: float, bias: float) -> PlaneReturns:
+        """Return them with noise and biases that are so many times as large."""
+        return replace(self, sigma=noise * self.sigma, bias=bias / noise * self.bias)
 
 
 def returns_on_plane(

@@ -13,7 +13,7 @@ from optshape_graph.io import demo_folder, load_sensor, load_target, write_scan
 from tests.io.schema_support import complaint
 
 pytest.importorskip("jsonschema")
-for library in ("cv2", "rosbags", "joblib", "pyarrow", "matplotlib", "ezdxf"):
+for library in ("cv2", "rosbags", "pyarrow", "matplotlib", "ezdxf"):
     pytest.importorskip(library)
 
 DEMO = demo_folder()

@@ -96,7 +96,8 @@ def test_a_full_disk_leaves_nothing_and_says_so(
     last = error.splitlines()[-1]
     assert last.startswith("optshape: error: ")
     assert last.endswith("cannot be written (No space left on device)")
-    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+    left = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert [path for path in left if path.suffix != ".journal"] == []  # what is finished is kept for the next time
 
 
 @pytest.fixture
@@ -184,7 +185,6 @@ def test_a_killed_command_leaves_whole_files_only(tmp_path: Path) -> None:
     """Killed again and again at any moment, a sweep has whole tasks only, and ends where it would have ended."""
     import json
 
-    pytest.importorskip("joblib")
     line = ["evaluate", "simulation", "--distance", "3", "--distance", "4", "--rpy", "0", "0", "0", "--noise", "1",
             "--seeds", "8", "--method", "global", "-o"]  # fmt: skip
     command = [sys.executable, "-m", "optshape_graph", *line, str(tmp_path / "out")]

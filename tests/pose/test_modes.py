@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from optshape_graph.evaluation.simulation import SimulationSweep, run_simulation
-from optshape_graph.factors.se3 import inverse, inverse_covariance
 from optshape_graph.io import load_target
 from optshape_graph.pose import modes
+from optshape_graph.se3 import inverse, inverse_covariance
 from optshape_graph.simulation import pose_from_rpy
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value, shortened
 from optshape_graph.calibration.camera.consistency import of_view
 from optshape_graph.calibration.camera.evidence import CrossValidation, ViewErrors
 from optshape_graph.calibration.camera.graph import Discrepancy, Rig, Sighting
@@ -22,12 +22,13 @@ from optshape_graph.calibration.camera.uncertainty import Uncertainty
 from optshape_graph.calibration.free_shape import MeasuredShape, measure_shape
 from optshape_graph.calibration.verdict import NOT_TRUSTED, Finding, verdict
 from optshape_graph.errors import EstimationError
+from optshape_graph.io.results import Result, Row
 from optshape_graph.se3 import adjoint, difference, inverse, inverse_covariance
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class ViewResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class ViewResult(Value):
     """What became of a view.
 
     Attributes:
@@ -44,8 +45,8 @@ class ViewResult:
     errors: ViewErrors | None
 
 
-@dataclass(frozen=True, eq=False)
-class CameraCalibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class CameraCalibration(Result):
     """The sensors' places, and how far to trust them.
 
     Attributes:
@@ -66,6 +67,8 @@ class CameraCalibration:
         findings: what is wrong, or has to be known before trusting the result.
         sightings: how every sighting was read.
     """
+
+    FORM: ClassVar[str] = "camera-calibration"
 
     lidars: tuple[str, ...]
     cameras: tuple[str, ...]
@@ -164,6 +167,18 @@ class CameraCalibration:
     def _middle(self, lidar: str) -> Floats:
         used = [s for s in self.sightings if any(self.views[view].used for view in s.views)]
         return middle([s for s in used if s.sensor == lidar])
+
+    def __repr__(self) -> str:
+        used, means = sum(view.used for view in self.views), self.cross_validations[0].means()
+        covariance = self.transform(self.cameras[0], self.lidars[0])[1]
+        sd = np.sqrt(np.diag(covariance))
+        said = f"± {1e3 * sd[3:].max():.1f} mm, ± {np.degrees(sd[:3].max()):.2f} deg, {self.verdict}"
+        centre = f"centre {means['mean_centre_error_mm']:.1f} mm" if means else "no errors"
+        return shortened(f"CameraCalibration({used} of {len(self.views)} views, {centre}, {said})")
+
+    def rows(self) -> list[Row]:
+        """Return a row for each view: whether it was used, and its errors, left out of what predicts it."""
+        return [_view(view) for view in self.views]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON form, `schema: optshape/camera-calibration/1`.

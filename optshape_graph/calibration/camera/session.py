@@ -102,7 +102,7 @@ def target_in_scan(
         EstimationError: no pose can be estimated, or it is not to be used.
     """
     estimate = estimate_pose(returns, target) if estimate is None else estimate
-    if estimate.status == "failed" or estimate.shared is None:
+    if not estimate.usable or estimate.shared is None:
         raise EstimationError(f"{returns.name}: {estimate.reason}")
     shared, shared_effect = _shared_errors(estimate)
     return TargetInScan(
@@ -215,7 +215,7 @@ def _detected(scan: Scan, lidar: str, targets: Mapping[str, Target]) -> dict[str
     detections = detect_targets(scan, list(named.values()))
     results: dict[str, ScanResult] = {}
     for name in targets:
-        found = [one for one in detections.found if one.target.name == name and one.estimate.status != "failed"]
+        found = [one for one in detections.found if one.target.name == name and one.estimate.usable]
         if found:
             best = max(found, key=lambda one: one.score)
             results[name] = target_in_scan(scan.select(best.indices), best.target, lidar, best.estimate, scan)

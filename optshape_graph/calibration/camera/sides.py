@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.consistency import of_view, pose_alone
 from optshape_graph.calibration.camera.graph import Rig, Sighting
 from optshape_graph.calibration.images.outline import edge_shifts
@@ -26,8 +26,8 @@ REACH = (0.7, 0.03)
 """How far to look on either side of an edge: a share of what is free between it and the pattern, and metres at most."""
 
 
-@dataclass(frozen=True, eq=False)
-class SidesInImages:
+@dataclass(frozen=True, eq=False, repr=False)
+class SidesInImages(Value):
     """The sides of a target by the images.
 
     Attributes:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.factors import SharedError, TemplateMeasurement
 from optshape_graph.scan import Scan
@@ -15,8 +15,8 @@ from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class TargetInScan:
+@dataclass(frozen=True, eq=False, repr=False)
+class TargetInScan(Value):
     """One target in one scan.
 
     Attributes:
@@ -70,8 +70,8 @@ class TargetInScan:
         return T
 
 
-@dataclass(frozen=True, eq=False)
-class View:
+@dataclass(frozen=True, eq=False, repr=False)
+class View(Value):
     """One target, in one place, seen by a LiDAR, a camera or both at one time.
 
     Attributes:
@@ -98,8 +98,8 @@ class View:
         return " / ".join(name for name in (self.scan_name, self.image_name) if name)
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
+@dataclass(frozen=True, eq=False, repr=False)
+class Candidate(Value):
     """One way to read a sighting.
 
     Attributes:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.graph import Rig, Sighting
 from optshape_graph.calibration.camera.sightings import Candidate, TargetInScan, View, candidates
 from optshape_graph.calibration.consensus import CUT, Consensus, distances, relative_pose
@@ -19,8 +19,8 @@ AMBIGUOUS = 4.0
 """Truncated cost by which the best relative pose has to beat every different one; a view adds at most 9."""
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
+@dataclass(frozen=True, eq=False, repr=False)
+class Start(Value):
     """Where the graph starts.
 
     Attributes:
@@ -34,8 +34,8 @@ class Start:
     agreeing: frozenset[int]
 
 
-@dataclass(frozen=True, eq=False)
-class _Reading:
+@dataclass(frozen=True, eq=False, repr=False)
+class _Reading(Value):
     """A sighting with all its candidates."""
 
     views: tuple[int, ...]

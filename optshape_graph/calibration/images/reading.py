@@ -11,6 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from optshape_graph._arrays import Value
 from optshape_graph.calibration.images.chessboard import find_chessboard, shown_counts
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.outline import fit_outline
@@ -29,8 +30,8 @@ LARGEST_ERROR = 5.0
 Published intrinsics leave 0.1 to 0.3 px of a chessboard's 0.2; those of another lens model leave 1.2 px and more."""
 
 
-@dataclass(frozen=True, eq=False)
-class TargetInImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class TargetInImage(Value):
     """One target in one image.
 
     Attributes:
@@ -50,8 +51,8 @@ Found: TypeAlias = TargetInImage | EstimationError | InputError
 """A target in an image, or why it isn't."""
 
 
-@dataclass(frozen=True, eq=False)
-class ImageTask:
+@dataclass(frozen=True, eq=False, repr=False)
+class ImageTask(Value):
     """A target to be found in an image.
 
     Attributes:

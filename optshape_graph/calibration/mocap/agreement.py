@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.calibration.consensus import CUT, Consensus, distances, relative_pose
 from optshape_graph.calibration.mocap.comparison import MocapScan, fit_template
 from optshape_graph.errors import EstimationError
@@ -26,8 +26,8 @@ SAME_PLACE = (0.05, np.radians(5.0))
 """Distance, metres, and angle, rad, within which two poses of the target count as one placement."""
 
 
-@dataclass(frozen=True, eq=False)
-class Agreement:
+@dataclass(frozen=True, eq=False, repr=False)
+class Agreement(Value):
     """What most scans agree on.
 
     Attributes:

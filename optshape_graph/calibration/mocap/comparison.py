@@ -15,7 +15,7 @@ from itertools import permutations
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import InputError
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.scan import Scan
@@ -26,8 +26,8 @@ MIN_MARKERS = 3
 """Markers that a scan needs for the template to be fitted to them."""
 
 
-@dataclass(frozen=True, eq=False)
-class MocapScan:
+@dataclass(frozen=True, eq=False, repr=False)
+class MocapScan(Value):
     """One scan with its markers.
 
     Attributes:

@@ -16,7 +16,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import E, H, M, S
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.mocap.comparison import MocapScan
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors import CheckedFactor, TemplateFactor
@@ -41,8 +41,8 @@ class MarkerModel:
     with_scale: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Value):
     """The minimum of the graph.
 
     Attributes:
@@ -66,8 +66,8 @@ class Solution:
     covariance_target_lidar: dict[int, Floats]
 
 
-@dataclass(frozen=True, eq=False)
-class Innovation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Innovation(Value):
     """A scan's estimate against what its markers say by the returns of the other scans.
 
     Attributes:

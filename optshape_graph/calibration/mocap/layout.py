@@ -13,7 +13,7 @@ from itertools import combinations, permutations
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.mocap.comparison import MIN_MARKERS, align
 from optshape_graph.calibration.verdict import Finding
 from optshape_graph.errors import InputError
@@ -36,8 +36,8 @@ LARGER = 2 / 3
 """Difference in size between layout and target, at the target's corners, that is too much; in the layout's prior."""
 
 
-@dataclass(frozen=True, eq=False)
-class CheckedMarkers:
+@dataclass(frozen=True, eq=False, repr=False)
+class CheckedMarkers(Value):
     """The markers of a session, mended.
 
     Attributes:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
-from optshape_graph._arrays import Floats
+import numpy as np
+
+from optshape_graph._arrays import Floats, shortened
 from optshape_graph.calibration.mocap.comparison import MocapScan, ScanError, mean_error
 from optshape_graph.calibration.verdict import NOT_TRUSTED, Finding, verdict
+from optshape_graph.io.results import Result, Row
 from optshape_graph.se3 import inverse, inverse_covariance
 from optshape_graph.target import Target
 
@@ -25,8 +28,8 @@ class LeftOut:
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
-class MocapCalibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class MocapCalibration(Result):
     """A LiDAR tied to motion capture.
 
     Attributes:
@@ -47,6 +50,8 @@ class MocapCalibration:
         left_out: the scans that did not, and why.
         findings: what is wrong, was mended, or has to be known.
     """
+
+    FORM: ClassVar[str] = "mocap"
 
     T_lidar_mocap: Floats
     covariance: Floats
@@ -92,6 +97,16 @@ class MocapCalibration:
     def trusted(self) -> bool:
         """Whether nothing forbids to trust the result."""
         return self.verdict != NOT_TRUSTED
+
+    def __repr__(self) -> str:
+        mean, sd = mean_error(self.leave_one_out), np.sqrt(np.diag(self.covariance))
+        said = f"± {1e3 * sd[3:].max():.1f} mm, ± {np.degrees(sd[:3].max()):.2f} deg, {self.verdict}"
+        return shortened(f"MocapCalibration({len(self.scans)} scans, RMSE {1e3 * mean.rmse_m:.1f} mm, {said})")
+
+    def rows(self) -> list[Row]:
+        """Return a row for each scan: its leave-one-out errors."""
+        pairs = zip(self.leave_one_out, self.chi_square, strict=True)
+        return [{**_entry(error), "chi_square": chi_square} for error, chi_square in pairs]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON form, `schema: optshape/mocap/1`."""
