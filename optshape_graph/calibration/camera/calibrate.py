@@ -95,22 +95,25 @@ def calibrate(
     wrong = {lens.camera for lens in lenses if lens.contradicted}
     refined = frozenset({None: wrong, True: set(cameras), False: set[str]()}[unknowns.intrinsics])
 
-    def graph_of(range_bias_sigma: float, free_lenses: Collection[str]) -> CalibrationGraph:
-        return CalibrationGraph(start.sightings, base, range_bias_sigma, free_lenses)
+    def graph_of(free_lenses: Collection[str]) -> CalibrationGraph:
+        return CalibrationGraph(start.sightings, base, unknowns.range_bias_sigma, free_lenses)
 
-    best, used, squared, discrepancy = _solve_robustly(graph_of(unknowns.range_bias_sigma, refined), start, views)
+    def graph_as_they_come(free_lenses: Collection[str]) -> CalibrationGraph:
+        return CalibrationGraph(start.sightings, base, 0.0, free_lenses, as_they_come=True)
+
+    best, used, squared, discrepancy = _solve_robustly(graph_of(refined), start, views)
     taking_part = {s.sensor for s in start.sightings if used & set(s.views)}
     if missing := sorted(set(start.rig.T_base_sensor) - taking_part):
         raise EstimationError(f"no view of {', '.join(missing)} agrees with those of the other sensors")
     scans = [s for s in start.sightings if s.sensor == base and used & set(s.views)]
     # What is not known of the lenses, refined or not, is part of what is not known of the cameras' places.
-    everything_free = graph_of(unknowns.range_bias_sigma, cameras)
+    everything_free = graph_of(cameras)
     most_likely = everything_free.solve(used.__contains__, best, discrepancy)
     uncertainty = everything_free.uncertainty(used.__contains__, most_likely, discrepancy)
     check_observable(uncertainty, middle(scans))
-    graph = graph_of(0.0, refined)  # for clouds as they come
+    graph = graph_as_they_come(refined)
     rig, discrepancy = _settled(graph, start, best, used)
-    given = graph_of(0.0, ()).solve(used.__contains__, replace(rig, cameras=start.rig.cameras), discrepancy)
+    given = graph_as_they_come(()).solve(used.__contains__, replace(rig, cameras=start.rig.cameras), discrepancy)
     left_out, k_fold = _cross_validations(graph, start, rig, discrepancy, views, used, progress)
     errors = _errors(start.sightings, views, rig, range(len(views))) | left_out.views
     limit = LIMIT * scatter(squared, used)

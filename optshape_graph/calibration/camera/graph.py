@@ -109,12 +109,19 @@ class CalibrationGraph:
         range_bias_sigma: prior standard deviation of each LiDAR's range bias, metres; 0: there is none.
         refined: names of the cameras whose lens is a variable; of one with more than four distortion terms, focal
             lengths and principal point are.
+        as_they_come: whether the clouds are to be fitted as they come, biases of the rings included.
     """
 
     def __init__(
-        self, sightings: Sequence[Sighting], base: str, range_bias_sigma: float, refined: Collection[str] = ()
+        self,
+        sightings: Sequence[Sighting],
+        base: str,
+        range_bias_sigma: float,
+        refined: Collection[str] = (),
+        as_they_come: bool = False,
     ) -> None:
         self._base, self._bias_sigma, self._refined, self._sightings = base, range_bias_sigma, refined, sightings
+        self._as_they_come = as_they_come
         self._sensors = list(dict.fromkeys([base, *(sighting.sensor for sighting in sightings)]))
         self._targets = list(dict.fromkeys(sighting.target for sighting in sightings))
         self._points: dict[tuple[str, bool, tuple[float, ...]], int] = {}
@@ -165,7 +172,8 @@ class CalibrationGraph:
     def _measurement_factors(self, number: int, sighting: Sighting) -> list[gtsam.NonlinearFactor]:
         seen = sighting.seen
         if isinstance(seen, TargetInScan):
-            return [TemplateFactor(seen.measurement, L(number), inverse(sighting.S))]
+            measurement = seen.uncorrected if self._as_they_come else seen.measurement
+            return [TemplateFactor(measurement, L(number), inverse(sighting.S))]
         sensor = self._sensors.index(sighting.sensor)
         points = seen.points.relabelled(sighting.S)
         k_points = [self._point(sighting.target, points.printed, point) for point in points.points]

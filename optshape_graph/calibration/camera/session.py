@@ -111,6 +111,7 @@ def target_in_scan(
         T_lidar_target=estimate.T_lidar_target,
         covariance=estimate.covariance,
         measurement=estimate.measurement,
+        uncorrected=estimate.shared.marginal([float(e.kind != RANGE_BIAS) for e in estimate.shared.shared]),
         shared=shared,
         shared_effect=shared_effect,
         edge_inset=estimate.inset_rad,

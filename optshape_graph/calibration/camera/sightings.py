@@ -24,7 +24,8 @@ class TargetInScan(Value):
         scan: the scan's name.
         T_lidar_target: (4, 4) estimated pose.
         covariance: (6, 6) of its right perturbation, rotation first.
-        measurement: the exact cost of the returns.
+        measurement: the exact cost of the returns, range biases of the rings allowed for.
+        uncorrected: the same, the rings' biases being part of what is measured: for clouds as they come.
         shared: the errors that all scans of the LiDAR have in common: the range biases of its rings.
         shared_effect: (6, k) right perturbation of the pose, rad and metres, by a standard deviation of each.
         edge_inset: median azimuth from a ring's last return to the target's edge, rad; the estimate lets it be what it
@@ -38,6 +39,7 @@ class TargetInScan(Value):
     T_lidar_target: Floats
     covariance: Floats
     measurement: TemplateMeasurement
+    uncorrected: TemplateMeasurement
     shared: tuple[SharedError, ...]
     shared_effect: Floats
     edge_inset: float
