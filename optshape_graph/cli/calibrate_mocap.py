@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from optshape_graph.cli.options import outside_option
+from optshape_graph.cli.options import force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -19,10 +19,16 @@ if TYPE_CHECKING:
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
 @click.option("--estimate-scale", is_flag=True, help="Estimate the motion capture's scale too; else it is 1.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@force_option
 @plot_option("errors of the scans, where the target stood, where the markers are")
 @outside_option
 def command(
-    session: Path, estimate_scale: bool, json_path: Path | None, plots: Path | None, allow_outside: bool = False
+    session: Path,
+    estimate_scale: bool,
+    json_path: Path | None,
+    plots: Path | None,
+    force: bool = False,
+    allow_outside: bool = False,
 ) -> int:
     """Calibrate T_lidar_mocap and the marker layout of a session, and compare the estimates with the markers.
 
@@ -31,10 +37,14 @@ def command(
     """
     from optshape_graph.calibration.mocap import calibrate_mocap
     from optshape_graph.cli.console import print_table, print_transform, progress_bar
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_session
     from optshape_graph.io.documents import write_json
 
     loaded = load_session(session, allow_outside=allow_outside)
+    outputs = Outputs([session, *loaded.files()], force=force)
+    outputs.file("--json", json_path, "mocap")
+    outputs.folder("--plot", plots)
     with progress_bar("estimating") as progress:
         result = calibrate_mocap(loaded, estimate_scale=estimate_scale, progress=progress)
     for item in result.left_out:

@@ -123,7 +123,7 @@ def command(
     advice = (
         f"what was seen is kept in {kept}; the same command goes on there" if kept else "--json keeps what was seen"
     )
-    with Journal(kept, describe, None) as journal, _shown() as report, going_on(advice):
+    with Journal(kept, describe, None) as journal, _shown() as report, going_on(lambda: advice):
         result = map_recording(
             opened,
             tuple(map(load_target, target_names)),
