@@ -153,6 +153,7 @@ class Rejection(Value):
         """Return what the JSON form says of this surface, as plain data."""
         return {
             "reason": self.reason,
+            "passed": self.passed,
             "target": self.target or None,
             "centre": self.centre.tolist(),
             "returns": self.n_returns,
