@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from optshape_graph.cli.estimate import drawn
+from optshape_graph.cli.html_report import report_option
 from optshape_graph.cli.options import FILE, force_option, pool_options
 from optshape_graph.cli.plots import names_of, plot_option, save_picture
 
@@ -30,6 +31,7 @@ BYTES = 60_000
               "in FILE.journal, from which the same command goes on.")  # fmt: skip
 @pool_options
 @force_option
+@report_option
 @plot_option("for every scan what was found in it, and the fit of every target found")
 def command(
     scans: tuple[str, ...],
@@ -38,6 +40,7 @@ def command(
     json_path: Path | None,
     pool: Pool | None,
     force: bool,
+    html: Path | None,
     plots: Path | None,
 ) -> int:
     """Find targets in each SCAN (PCD, PLY, NPZ or CSV), a full revolution, and tell them apart by shape.
@@ -63,6 +66,7 @@ def command(
     paths = scan_paths(scans)
     outputs = Outputs([*paths, *targets, sensor], force=force)
     outputs.file("--json", json_path, "detect", bytes_needed=BYTES * len(paths))
+    outputs.file("--report", html)
     outputs.folder("--plot", plots)
     draw = Draw(plots, names_of(paths)) if plots else None
     detect = DetectFile(tuple(map(load_target, targets)), load_sensor(sensor) if sensor else None, draw)
@@ -79,6 +83,8 @@ def command(
             "score: 0 to 1. fit: chi-square per degree of freedom of plane / edges, or what makes the pose doubtful. "
             "margin: log likelihood to the next of the targets asked for, where one fits as well.",
             json_path,
+            html,
+            "detect",
         )
 
 
