@@ -121,8 +121,9 @@ def optimise(
 
     folder = output.with_suffix(".starts")
     outputs = Outputs([sensor], force=force)
-    outputs.file("--output", output, "target", replace=folder.is_dir())
     outputs.folder("--output", folder)
+    if output.exists() or output.parent.is_dir():  # else its folder is made with that of the starts
+        outputs.file("--output", output, "target", replace=folder.is_dir())
     outputs.folder("--plots", plots)
     if plots is not None:
         from optshape_graph.viz.style import new_figure

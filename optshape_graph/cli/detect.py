@@ -10,7 +10,7 @@ import click
 
 from optshape_graph.cli.estimate import drawn
 from optshape_graph.cli.html_report import report_option
-from optshape_graph.cli.options import FILE, force_option, pool_options
+from optshape_graph.cli.options import FILE, columns_option, force_option, pool_options, sensor_option
 from optshape_graph.cli.plots import names_of, plot_option, save_picture
 
 if TYPE_CHECKING:
@@ -26,7 +26,8 @@ BYTES = 60_000
 @click.argument("scans", nargs=-1, required=True, metavar="SCAN...")
 @click.option("--target", "targets", required=True, multiple=True,
               help="Built-in name, NAME@AREA in m2, or target file; once for each target to look for.")  # fmt: skip
-@click.option("--sensor", help="Built-in name or sensor file. Without it: rings from the cloud, noise of a centimetre.")
+@sensor_option
+@columns_option
 @click.option("--json", "json_path", type=FILE, help="Write the results to this file; until it is whole they are kept "
               "in FILE.journal, from which the same command goes on.")  # fmt: skip
 @pool_options
@@ -37,13 +38,16 @@ def command(
     scans: tuple[str, ...],
     targets: tuple[str, ...],
     sensor: str | None,
+    columns: tuple[str, ...] | None,
     json_path: Path | None,
     pool: Pool | None,
     force: bool,
     html: Path | None,
     plots: Path | None,
 ) -> int:
-    """Find targets in each SCAN (PCD, PLY, NPZ or CSV), a full revolution, and tell them apart by shape.
+    """Find targets in each SCAN, a full revolution, and tell them apart by shape.
+
+    `optshape info` says what a cloud holds, in whatever form.
 
     A SCAN is a file, a folder of clouds, a pattern in quotes ('drive/*.pcd'), or @LIST: a text file with a name on each
     line.
@@ -56,11 +60,11 @@ def command(
     are written.
     """
     from optshape_graph.cli.console import progress_bar
-    from optshape_graph.cli.inputs import scan_paths
+    from optshape_graph.cli.inputs import scan_paths, sensor_of
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.cli.report import report
     from optshape_graph.detection.files import DetectFile
-    from optshape_graph.io import load_sensor, load_target
+    from optshape_graph.io import load_target
     from optshape_graph.runs.files import run_files
 
     paths = scan_paths(scans)
@@ -69,7 +73,7 @@ def command(
     outputs.file("--report", html)
     outputs.folder("--plot", plots)
     draw = Draw(plots, names_of(paths)) if plots else None
-    detect = DetectFile(tuple(map(load_target, targets)), load_sensor(sensor) if sensor else None, draw)
+    detect = DetectFile(tuple(map(load_target, targets)), sensor_of(sensor, paths, columns), columns, draw)
     with (
         progress_bar("detecting") as progress,
         run_files(detect, paths, detect.failed, form="detect", describe=detect.describe() | drawn(plots),

@@ -162,8 +162,9 @@ def _map(document: Mapping[str, Any]) -> Verdict:
         if once
         else []
     )
-    level: Level = "Usable with care" if once else "Good"
-    return Verdict(level, sentence, tuple(advice))
+    problems = [str(problem) for problem in (document.get("report") or {}).get("problems", ())]
+    level: Level = "Not usable" if problems else "Usable with care" if once else "Good"
+    return Verdict(level, sentence, (*problems, *advice))
 
 
 def _choice(document: Mapping[str, Any]) -> Verdict:

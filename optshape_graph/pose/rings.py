@@ -14,7 +14,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.edges import UP, EdgePoints, extract_edge_points, upward, with_top_and_bottom
-from optshape_graph.factors.measurement import TemplateMeasurement, refine, template_rows
+from optshape_graph.factors.measurement import refine, template_rows
 from optshape_graph.factors.static import (
     EDGE_OFFSET,
     ELEVATION,
@@ -27,7 +27,7 @@ from optshape_graph.pose.association import enumerate_poses, fit_plane
 from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
 from optshape_graph.pose.fit import Evidence
 from optshape_graph.pose.modes import Modes, compare_modes, rank
-from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
+from optshape_graph.pose.noise import EdgeNoise, one_scan, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.outline import Ends, fit_ends, strain_columns, tilt_of_rings
 from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry
@@ -91,14 +91,6 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         evidence=Evidence(scan, target, off_plane, shape, edges, ends, problem.noise, tilt),
         objection=_objection(problem, final, float(best.offset[0]), options.min_explained),
     )
-
-
-def one_scan(shared: BiasedMeasurement) -> TemplateMeasurement:
-    """Return the measurement of one scan alone: the elevations of its rings count as exact.
-
-    What an error of theirs does to one scan is within what its ring ends scatter; of many it would be the mean's error.
-    """
-    return shared.marginal([float(error.kind != ELEVATION) for error in shared.shared])
 
 
 def _bounded(edges: EdgePoints, scan: Scan) -> EdgePoints:

@@ -18,7 +18,7 @@ from scipy.special import betainc
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.factors.static import SURFACE, BiasedMeasurement, SharedError
 from optshape_graph.pose.association import ReturnsPlane
-from optshape_graph.pose.noise import PlaneReturns
+from optshape_graph.pose.noise import PlaneReturns, one_scan
 from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
@@ -195,7 +195,7 @@ def displaced(
     tilt = 2 * surface.size / gyration(target)
     plane, within = [1, 2, 3], [0, 4, 5]  # turns about y and z and the shift along x; the rest
     Ad = adjoint(inverse(T_target_lidar))
-    information = Ad.T @ measurement.marginal(1.0).information(T_target_lidar) @ Ad
+    information = Ad.T @ one_scan(measurement).information(T_target_lidar) @ Ad
     effect = np.zeros((6, 3))
     effect[plane] = np.diag([tilt, tilt, np.hypot(2 * surface.size, residuals.excess)])
     effect[within] = -np.linalg.solve(
