@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from optshape_graph.cli.html_report import conclude, report_option
 from optshape_graph.cli.options import force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@report_option
 @plot_option("errors of the views, and for each its image with the returns and outlines", "--overlays")
 @click.option("--camchain", type=click.Path(path_type=Path), help="Write a Kalibr-style camchain to this file.")
 @click.option("--use-target-points", is_flag=True, help="Take the targets' returns from the views' manual crops.")
@@ -40,6 +42,7 @@ def command(
     allow_outside: bool,
     force: bool,
     json_path: Path | None,
+    html: Path | None,
     plots: Path | None,
     camchain: Path | None,
     use_target_points: bool,
@@ -64,6 +67,7 @@ def command(
     outputs = Outputs([session, *loaded.files()], force=force)
     outputs.file("--json", json_path, "camera-calibration")
     outputs.file("--camchain", camchain)
+    outputs.file("--report", html)
     outputs.folder("--plot", plots)
     if camchain:
         check_camchain(loaded)
@@ -80,10 +84,10 @@ def command(
     if camchain:
         write_yaml(camchain, kalibr_camchain(calibration))
     _print(calibration)
-    if plots:
+    pictures = Pictures(plots) if plots else None
+    if plots and pictures:
         from optshape_graph.viz.camera import plot_view_errors, save_overlays
 
-        pictures = Pictures(plots)
         pictures.save("errors", plot_view_errors(calibration))
         with progress_bar("overlays") as progress:
             pictures.paths += save_overlays(calibration, plots, progress)
@@ -91,6 +95,7 @@ def command(
     for warning in calibration.warnings:
         click.echo(f"optshape: warning: {warning}", err=True)
     click.echo(f"The calibration is {calibration.verdict}.")
+    conclude(calibration.to_dict(), html, pictures.paths if pictures else ())
     return 0 if calibration.trusted and all(result.used for result in calibration.views) else 3
 
 
