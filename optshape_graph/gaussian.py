@@ -94,7 +94,7 @@ def _ratio(of: tuple[list[float], list[float]], x: Floats, flipped: bool = False
 
 
 def chi_square_tail(square: float, freedom: float) -> float:
-    """Return the probability that a chi-square variable exceeds `square`, to a tenth; 1 without freedom.
+    """Return the probability that a chi-square variable exceeds `square`, to a third of it; 1 without freedom.
 
     Its cube root is close to normal (Wilson and Hilferty, Proc. Natl. Acad. Sci. 17, 1931).
     """
