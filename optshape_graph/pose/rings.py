@@ -66,10 +66,12 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
 
     # The best mode in one measurement, at its minimum.
     best, n = modes.candidates.select(slice(0, 1)), len(edges)
-    ends = fit_ends(replace(problem, edges=edges), best.T_target_lidar[0], best.geometry.labels[0, :n])
+    of_ends = replace(problem, edges=edges)
+    ends = fit_ends(of_ends, best.T_target_lidar[0], best.geometry.labels[0, :n])
     on_edges, edge_weight = _edge_measurement(problem, modes, ends, elevation_error)
     shared = on_edges + on_plane
-    T_target_lidar = refine(one_scan(shared))
+    exact = one_scan(shared)
+    T_target_lidar = refine(exact)
     shared = _widened(displaced(shared, shape, off_plane, target, T_target_lidar), T_target_lidar, modes)
     measurement = one_scan(shared).at(T_target_lidar)
 
@@ -79,6 +81,7 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         target=target,
         returns=scan,
         measurement=measurement,
+        exact=exact,
         shared=shared,
         total_weight=edge_weight + float((1 / returns.sigma**2).sum()),
         ambiguity=Ambiguity(modes.margin, modes.rival),
@@ -88,7 +91,7 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         inset=best.inset[0, :n],
         edge_sigma=best.sigma[0, :n],
         edge_residuals=(final.residual[0] + best.inset[0] * final.along[0])[:n],
-        evidence=Evidence(scan, target, off_plane, shape, edges, ends, problem.noise, tilt),
+        evidence=Evidence(scan, of_ends, off_plane, shape, ends, angular_noise, tilt),
         objection=_objection(problem, final, float(best.offset[0]), options.min_explained),
     )
 
