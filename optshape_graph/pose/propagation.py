@@ -84,6 +84,7 @@ class Posterior:
     Attributes:
         T_target_lidar: (C, 4, 4).
         covariance: (C, 6, 6) of the right perturbation of T_target_lidar, rotation first.
+        joint: (C, 7, 7) of that and the offset.
         offset: (C,) common offset across the edges, in units of the beam's width; positive: the returns lie further in.
         geometry: edge points at these poses.
         inset: (C, M) distance along the ring from each edge point to the boundary, rad, offset and shift apart.
@@ -94,6 +95,7 @@ class Posterior:
 
     T_target_lidar: Floats
     covariance: Floats
+    joint: Floats
     offset: Floats
     geometry: EdgeGeometry
     inset: Floats
@@ -268,6 +270,7 @@ def _sweep(
     posterior = Posterior(
         T_target_lidar=T,
         covariance=np.asarray(covariance[:, :6, :6]),
+        joint=np.asarray(covariance[:, :7, :7]),
         offset=offset + mean[:, 6],
         geometry=geometry,
         inset=np.clip(-(nu / tau) / fast, *_lost_interval(problem.edges)),

@@ -1,0 +1,184 @@
+"""The likelihood of a scan, ray by ray: every firing near the target was tried, and returned or did not.
+
+A beam whose axis passes outside the target's outline by an angle b returns with probability
+
+    P = stray + (1 - stray - lost) clip(1/2 - o - b / w, 0, 1),
+
+w being the beam's angle and o an offset that all firings of a scan share. No edge is assigned to a ring end, and
+nothing is linearised: level edges and vertices are what they are. Firings are not all independent: where a ring ends, a
+few may be lost together, or the last return may be a stray; and a whole ring may be lost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optshape_graph._arrays import Floats, Ints
+from optshape_graph.edges import relative_azimuth
+from optshape_graph.scan import Scan
+
+STRAY = 1e-4
+"""Probability that a single firing outside returns."""
+
+LOST = 1e-3
+"""Probability that a single firing inside does not."""
+
+WINDOW = 4
+"""Firings that are looked at beyond each end of a ring, and inside it."""
+
+MISSED = 3
+"""Rings without returns that are looked at above and below those with."""
+
+PHASES = 4
+"""Places of the firing grid within a step that are averaged over in a ring without returns."""
+
+MOST_EMPTY = 2000
+"""Firings of all rings without returns, in all phases: where they would be more, phases are fewer."""
+
+ANYWHERE = 0.01
+"""Likelihood of an odd ring end that none of the explanations fits, in units of theirs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """The firings of one scan near one target.
+
+    Attributes:
+        direction: (F, 3) unit vectors, LiDAR frame; firings of rings without returns come last.
+        width: (F,) angle of each beam, rad.
+        inside: (I,) firings with returns.
+        gaps: (G,) firings without, between returns.
+        last: (E,) the last return at each end of a ring.
+        beyond: (E, WINDOW) firings beyond it, from the nearest outwards.
+        empty: (O, H, K) firings of each ring without returns, in each of H phases.
+    """
+
+    direction: Floats
+    width: Floats
+    inside: Ints
+    gaps: Ints
+    last: Ints
+    beyond: Ints
+    empty: Ints
+
+    @classmethod
+    def of(cls, scan: Scan, step: float, revolutions: Ints, beam: Floats, extent: float) -> Rays:
+        """Collect the firings of a scan.
+
+        Args:
+            scan: the returns of one target, with rings, azimuths without noise.
+            step: azimuth between two firings, rad.
+            revolutions: (R,) merged in each ring.
+            beam: (R,) angle of the beam at the target, rad, of each ring with returns.
+            extent: largest diameter of the target, metres.
+        """
+        assert scan.ring is not None
+        azimuth, reference = relative_azimuth(scan.points)
+        heights = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
+        at: list[Floats] = []  # azimuth, elevation, width of every firing
+        inside, gaps, last, beyond = [], [], [], []
+        count = 0
+        for r, ring in enumerate(np.unique(scan.ring)):
+            mine = scan.ring == ring
+            elevation = float(heights[mine].mean())
+            for train in _trains(azimuth[mine] / step, int(revolutions[r])):
+                slots = np.concatenate([[0], np.cumsum(np.rint(np.diff(train)).astype(int))])
+                place = np.arange(-WINDOW, slots[-1] + WINDOW + 1, dtype=float)
+                place += np.interp(place, slots, train - slots)  # firings drift against the nominal step
+                returned = np.zeros(len(place), dtype=bool)
+                returned[slots + WINDOW] = True
+                near = np.arange(len(place))
+                near = near[(near < 2 * WINDOW) | (near >= len(place) - 2 * WINDOW)]
+                index = count + np.arange(len(near))
+                at.append(np.column_stack([place[near] * step, np.full(len(near), elevation), np.full(len(near), beam[r])]))
+                core = (near >= WINDOW) & (near < len(place) - WINDOW)
+                inside.append(index[core & returned[near]])
+                gaps.append(index[core & ~returned[near]])
+                last += [index[WINDOW], index[-1 - WINDOW]]
+                beyond += [index[:WINDOW][::-1], index[-WINDOW:]]
+                count += len(near)
+        empties = _empty(scan, azimuth, step, extent)
+        if empties.size:
+            flat = empties.reshape(-1, 2)
+            at.append(np.column_stack([flat, np.full(len(flat), np.median(beam))]))
+        table = np.vstack(at)
+        a, e = table[:, 0] + reference, table[:, 1]
+        return cls(
+            direction=np.column_stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]),
+            width=table[:, 2],
+            inside=np.concatenate(inside),
+            gaps=np.concatenate(gaps),
+            last=np.array(last),
+            beyond=np.array(beyond),
+            empty=count + np.arange(empties[..., 0].size).reshape(empties.shape[:-1]),
+        )
+
+
+def _trains(steps: Floats, revolutions: int) -> list[Floats]:
+    """Azimuths in steps, each train's rising by whole steps: those of one revolution; exact duplicates once."""
+    steps = np.sort(steps)
+    if revolutions == 1:
+        kept = np.concatenate([[True], np.rint(np.diff(steps)) > 0])
+        return [steps[kept]]
+    phase = steps % 1.0
+    order = np.argsort(phase)
+    jumps = np.diff(phase[order], append=phase[order[0]] + 1.0)
+    cuts = np.sort(np.argsort(-jumps)[:revolutions]) + 1
+    groups = np.split(np.roll(order, -cuts[-1]), (cuts - cuts[-1])[:-1] % len(order)) if len(order) > 1 else [order]
+    return [train for group in groups if len(group) for train in _trains(steps[group], 1)]
+
+
+def _empty(scan: Scan, azimuth: Floats, step: float, extent: float) -> Floats:
+    """(O, H, K, 2) azimuth and elevation of the firings of rings without returns that the target may reach."""
+    assert scan.ring is not None
+    if scan.sensor is None:
+        return np.zeros((0, 1, 0, 2))
+    table, ring = scan.sensor.elevations, np.unique(scan.ring)
+    missing = np.setdiff1d(np.arange(max(ring[0] - MISSED, 0), min(ring[-1] + MISSED + 1, len(table))), ring)
+    angle = extent / float(np.linalg.norm(scan.points, axis=1).min())
+    missing = missing[np.abs(table[missing][:, None] - table[ring]).min(axis=1) < angle]
+    flat = angle / np.cos(table[missing]).min(initial=1.0)
+    first, last = np.floor((azimuth.max() - flat) / step), np.ceil((azimuth.min() + flat) / step)
+    columns = np.arange(first, last + 1)
+    phases = int(np.clip(MOST_EMPTY // max(len(missing) * len(columns), 1), 1, PHASES))
+    place = (columns + (np.arange(phases)[:, None] + 0.5) / phases) * step
+    shape = (len(missing), phases, len(columns))
+    return np.stack([np.broadcast_to(place, shape), np.broadcast_to(table[missing][:, None, None], shape)], axis=-1)
+
+
+def sight_lines(vertices: Floats) -> Floats:
+    """(S, n, 3) outward unit normals of the planes through the sensor and each edge of polygons (S, n, 3), metres."""
+    normal = np.cross(vertices, np.roll(vertices, -1, axis=1))
+    inwards = np.sign((normal * vertices.mean(axis=1, keepdims=True)).sum(axis=-1, keepdims=True))
+    return np.asarray(-inwards * normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+
+
+def log_likelihood(rays: Rays, normals: Floats, offset: Floats, lost_ends: Floats, weight: Floats, lost_ring: float) -> Floats:
+    """Return the logarithm (S,) of the probability of which firings returned and which did not.
+
+    Args:
+        rays: the firings.
+        normals: (S, n, 3), see `sight_lines`.
+        offset: (S,) o, in beam widths.
+        lost_ends: (L,) shares of ring ends that are odd; one of them is the scan's.
+        weight: (L,) probability of each.
+        lost_ring: probability that a ring returns nothing wherever the target is.
+    """
+    outside = (normals.reshape(-1, 3) @ rays.direction.T).reshape(*normals.shape[:2], -1).max(axis=1)
+    P = STRAY + (1.0 - STRAY - LOST) * np.clip(0.5 - offset[:, None] - outside / rays.width, 0.0, 1.0)
+    total = np.log(P[:, rays.inside]).sum(axis=1) + np.log1p(-P[:, rays.gaps]).sum(axis=1)
+    out, last = P[:, rays.beyond], P[:, rays.last]
+    silent = 1.0 - out
+    usual = silent.prod(axis=-1)
+    odd = usual * (1.0 - last) / last + ANYWHERE  # the last return is a stray, or 1, 2, 3 firings beyond it are lost
+    for j in range(1, WINDOW):
+        odd += out[..., :j].prod(axis=-1) * silent[..., j:].prod(axis=-1)
+    odd /= WINDOW
+    by_share = np.stack([np.log((1.0 - s) * usual + s * odd).sum(axis=1) for s in lost_ends]) + np.log(weight)[:, None]
+    total += np.logaddexp.reduce(by_share, axis=0)
+    if rays.empty.size:
+        unseen = (1.0 - P[:, rays.empty.min() :]).reshape(len(P), *rays.empty.shape).prod(axis=-1).mean(axis=-1)
+        total += np.log(lost_ring + (1.0 - lost_ring) * unseen).sum(axis=1)
+    return np.asarray(total)
