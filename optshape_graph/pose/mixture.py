@@ -28,6 +28,9 @@ ROUNDS = (2, 5)
 ENOUGH = 100.0
 """Effective samples that are worth no further round."""
 
+NEW = 4
+"""Components that a round adds at most."""
+
 LogDensity = Callable[[Floats, Floats], Floats]
 
 
@@ -108,10 +111,10 @@ def _exp(w: Floats) -> Floats:
 
 def _log_components(components: Components, roots: Floats, T: Floats, scalar: Floats) -> tuple[Floats, Floats]:
     """Logarithm (C, S) of weight times density of each component, and where it has each sample (C, S, 7)."""
-    turned = np.einsum("cji,sjk->csik", components.T[:, :3, :3], T[:, :3, :3])
-    rotation = Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec().reshape(*turned.shape[:2], 3)
+    base, turned = (Rotation.from_matrix(X[:, :3, :3]).as_quat() for X in (components.T, T))
+    rotation = _rotation_vectors(base, turned)
     moved = np.einsum("cji,csj->csi", components.T[:, :3, :3], T[None, :, :3, 3] - components.T[:, None, :3, 3])
-    charts = np.concatenate([rotation, moved, np.broadcast_to(scalar, turned.shape[:2])[..., None]], axis=-1)
+    charts = np.concatenate([rotation, moved, np.broadcast_to(scalar, moved.shape[:2])[..., None]], axis=-1)
     white = np.linalg.solve(roots, np.swapaxes(charts - components.mean[:, None], 1, 2))
     squared = (white**2).sum(axis=1)
     angle = np.linalg.norm(rotation, axis=-1)
@@ -121,6 +124,18 @@ def _log_components(components: Components, roots: Floats, T: Floats, scalar: Fl
     log = constant - scale[:, None] - 0.5 * (FREEDOM + 7) * np.log1p(squared / FREEDOM) - volume
     with np.errstate(divide="ignore"):
         return log + np.log(components.weight)[:, None], charts
+
+
+def _rotation_vectors(base: Floats, turned: Floats) -> Floats:
+    """(C, S, 3) rotation vectors from quaternions (C, 4) to (S, 4), scalar last, in the axes of the former."""
+    v, w = base[:, :3], base[:, 3]
+    left = np.zeros((len(base), 4, 4))  # of the conjugate, so that left @ turned is the relative quaternion
+    left[:, :3, :3] = w[:, None, None] * np.eye(3) - skew(v)
+    left[:, :3, 3], left[:, 3, :3], left[:, 3, 3] = -v, v, w
+    q = turned @ np.swapaxes(left, 1, 2)
+    q *= np.where(q[..., 3:] < 0, -1.0, 1.0)
+    sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
+    return np.asarray(q[..., :3] * (2 * np.arctan2(sine, q[..., 3:]) / np.maximum(sine, 1e-300)))
 
 
 def _refit(components: Components, share: Floats, charts: Floats) -> Components:
@@ -137,4 +152,14 @@ def _refit(components: Components, share: Floats, charts: Floats) -> Components:
         mean[c] += trust * (new - mean[c])
         covariance[c] = trust * spread * 1.2 + (1 - trust) * covariance[c]
     weight = 0.9 * mass / mass.sum() + 0.1 / len(mass)
-    return Components(components.T, mean, covariance, weight)
+    # A sample that weighs much on its own lies where no component is: it becomes one.
+    heavy = np.argsort(-share.sum(axis=0))[:NEW]
+    heavy = heavy[share.sum(axis=0)[heavy] > 2.0 / ENOUGH]
+    owner = share[:, heavy].argmax(axis=0)
+    born = share.sum(axis=0)[heavy]
+    return Components(
+        np.concatenate([components.T, components.T[owner]]),
+        np.concatenate([mean, charts[owner, heavy]]),
+        np.concatenate([covariance, components.covariance[owner] / 4]),
+        np.concatenate([weight, 0.5 * born]) / (1.0 + 0.5 * born.sum()),
+    )

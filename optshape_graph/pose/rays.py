@@ -34,8 +34,8 @@ MISSED = 3
 PHASES = 4
 """Places of the firing grid within a step that are averaged over in a ring without returns."""
 
-MOST_EMPTY = 2000
-"""Firings of all rings without returns, in all phases: where they would be more, phases are fewer."""
+MOST_FIRINGS = 12
+"""Firings of such a ring that are looked at one by one; where the target is wider, each stands for several."""
 
 ANYWHERE = 0.01
 """Likelihood of an odd ring end that none of the explanations fits, in units of theirs."""
@@ -46,13 +46,15 @@ class Rays:
     """The firings of one scan near one target.
 
     Attributes:
-        direction: (F, 3) unit vectors, LiDAR frame; firings of rings without returns come last.
+        direction: (F, 3) unit vectors, LiDAR frame.
         width: (F,) angle of each beam, rad.
         inside: (I,) firings with returns.
         gaps: (G,) firings without, between returns.
         last: (E,) the last return at each end of a ring.
         beyond: (E, WINDOW) firings beyond it, from the nearest outwards.
-        empty: (O, H, K) firings of each ring without returns, in each of H phases.
+        empty: (O,) elevations of rings without returns that may meet the target, rad.
+        step: azimuth between two firings, rad.
+        reference_azimuth: of the target's returns, rad.
     """
 
     direction: Floats
@@ -61,7 +63,9 @@ class Rays:
     gaps: Ints
     last: Ints
     beyond: Ints
-    empty: Ints
+    empty: Floats
+    step: float
+    reference_azimuth: float
 
     @classmethod
     def of(cls, scan: Scan, step: float, revolutions: Ints, beam: Floats, extent: float) -> Rays:
@@ -99,10 +103,6 @@ class Rays:
                 last += [index[WINDOW], index[-1 - WINDOW]]
                 beyond += [index[:WINDOW][::-1], index[-WINDOW:]]
                 count += len(near)
-        empties = _empty(scan, azimuth, step, extent)
-        if empties.size:
-            flat = empties.reshape(-1, 2)
-            at.append(np.column_stack([flat, np.full(len(flat), np.median(beam))]))
         table = np.vstack(at)
         a, e = table[:, 0] + reference, table[:, 1]
         return cls(
@@ -112,7 +112,9 @@ class Rays:
             gaps=np.concatenate(gaps),
             last=np.array(last),
             beyond=np.array(beyond),
-            empty=count + np.arange(empties[..., 0].size).reshape(empties.shape[:-1]),
+            empty=_empty_rings(scan, extent),
+            step=step,
+            reference_azimuth=reference,
         )
 
 
@@ -130,22 +132,14 @@ def _trains(steps: Floats, revolutions: int) -> list[Floats]:
     return [train for group in groups if len(group) for train in _trains(steps[group], 1)]
 
 
-def _empty(scan: Scan, azimuth: Floats, step: float, extent: float) -> Floats:
-    """(O, H, K, 2) azimuth and elevation of the firings of rings without returns that the target may reach."""
-    assert scan.ring is not None
-    if scan.sensor is None:
-        return np.zeros((0, 1, 0, 2))
+def _empty_rings(scan: Scan, extent: float) -> Floats:
+    """(O,) elevations, rad, of rings without returns that a target of an extent, metres, may reach."""
+    if scan.sensor is None or scan.ring is None:
+        return np.zeros(0)
     table, ring = scan.sensor.elevations, np.unique(scan.ring)
     missing = np.setdiff1d(np.arange(max(ring[0] - MISSED, 0), min(ring[-1] + MISSED + 1, len(table))), ring)
     angle = extent / float(np.linalg.norm(scan.points, axis=1).min())
-    missing = missing[np.abs(table[missing][:, None] - table[ring]).min(axis=1) < angle]
-    flat = angle / np.cos(table[missing]).min(initial=1.0)
-    first, last = np.floor((azimuth.max() - flat) / step), np.ceil((azimuth.min() + flat) / step)
-    columns = np.arange(first, last + 1)
-    phases = int(np.clip(MOST_EMPTY // max(len(missing) * len(columns), 1), 1, PHASES))
-    place = (columns + (np.arange(phases)[:, None] + 0.5) / phases) * step
-    shape = (len(missing), phases, len(columns))
-    return np.stack([np.broadcast_to(place, shape), np.broadcast_to(table[missing][:, None, None], shape)], axis=-1)
+    return np.asarray(table[missing[np.abs(table[missing][:, None] - table[ring]).min(axis=1) < angle]])
 
 
 def sight_lines(vertices: Floats) -> Floats:
@@ -167,7 +161,7 @@ def log_likelihood(rays: Rays, normals: Floats, offset: Floats, lost_ends: Float
         lost_ring: probability that a ring returns nothing wherever the target is.
     """
     outside = (normals.reshape(-1, 3) @ rays.direction.T).reshape(*normals.shape[:2], -1).max(axis=1)
-    P = STRAY + (1.0 - STRAY - LOST) * np.clip(0.5 - offset[:, None] - outside / rays.width, 0.0, 1.0)
+    P = _returns(outside / rays.width + offset[:, None])
     total = np.log(P[:, rays.inside]).sum(axis=1) + np.log1p(-P[:, rays.gaps]).sum(axis=1)
     out, last = P[:, rays.beyond], P[:, rays.last]
     silent = 1.0 - out
@@ -179,6 +173,53 @@ def log_likelihood(rays: Rays, normals: Floats, offset: Floats, lost_ends: Float
     by_share = np.stack([np.log((1.0 - s) * usual + s * odd).sum(axis=1) for s in lost_ends]) + np.log(weight)[:, None]
     total += np.logaddexp.reduce(by_share, axis=0)
     if rays.empty.size:
-        unseen = (1.0 - P[:, rays.empty.min() :]).reshape(len(P), *rays.empty.shape).prod(axis=-1).mean(axis=-1)
-        total += np.log(lost_ring + (1.0 - lost_ring) * unseen).sum(axis=1)
+        total += np.log(lost_ring + (1.0 - lost_ring) * _unseen(rays, normals, offset)).sum(axis=1)
     return np.asarray(total)
+
+
+def _returns(outside: Floats) -> Floats:
+    """Probability of a return at an angle outside the outline, the common offset added, in beam widths."""
+    return np.asarray(STRAY + (1.0 - STRAY - LOST) * np.clip(0.5 - outside, 0.0, 1.0))
+
+
+def _unseen(rays: Rays, normals: Floats, offset: Floats) -> Floats:
+    """(S, O) probability that no firing of each ring without returns returns, the place of its firings being unknown."""
+    width = float(np.median(rays.width))
+    right, left = chords(normals, rays.empty, rays.reference_azimuth, width * (0.5 - offset))
+    sure_right, sure_left = chords(normals, rays.empty, rays.reference_azimuth, -width * (0.5 + offset))
+    unseen = np.where(left > right, 0.0, 1.0)
+    s, o = np.nonzero((left > right) & (sure_left - sure_right < rays.step))
+    if not len(s):
+        return unseen
+    spacing = np.maximum((left - right)[s, o] / MOST_FIRINGS, rays.step)
+    place = (np.arange(PHASES)[:, None] + 0.5) / PHASES + np.arange(MOST_FIRINGS)
+    azimuth = right[s, o][:, None, None] + place * spacing[:, None, None] + rays.reference_azimuth
+    m, e = normals[s], rays.empty[o]
+    flat = m[:, :, 0, None, None] * np.cos(azimuth)[:, None] + m[:, :, 1, None, None] * np.sin(azimuth)[:, None]
+    outside = (flat * np.cos(e)[:, None, None, None] + (m[:, :, 2] * np.sin(e)[:, None])[..., None, None]).max(axis=1)
+    returns = _returns(outside / width + offset[s, None, None])
+    unseen[s, o] = ((1.0 - returns).prod(axis=-1) ** (spacing / rays.step)[:, None]).mean(axis=-1)
+    return unseen
+
+
+def chords(normals: Floats, elevations: Floats, reference_azimuth: float, margin: Floats) -> tuple[Floats, Floats]:
+    """Azimuths between which rings are inside polygons, or outside by at most an angle.
+
+    A ray of azimuth a and elevation e is outside edge k by the angle asin(m . d): at most `margin` where
+    m_x cos a + m_y sin a <= (sin margin - m_z sin e) / cos e, an arc. The chord is where all arcs meet.
+
+    Args:
+        normals: (S, n, 3), see `sight_lines`.
+        elevations: (R,) rad.
+        reference_azimuth: some azimuth of the target, rad.
+        margin: (S,) rad.
+
+    Returns:
+        Right and left end (S, R), rad, relative to the reference; right above left where the ring misses.
+    """
+    across = np.hypot(normals[..., 0], normals[..., 1])
+    centre = np.angle((-normals[..., 0] - 1j * normals[..., 1]) * np.exp(-1j * reference_azimuth))
+    level = np.sin(margin)[:, None, None] - normals[..., 2, None] * np.sin(elevations)
+    cosine = level / (np.maximum(across, 1e-300)[..., None] * np.cos(elevations))
+    half = np.where(cosine < -1, -np.inf, np.pi - np.arccos(np.clip(cosine, -1, 1)))
+    return (centre[..., None] - half).max(axis=1), (centre[..., None] + half).min(axis=1)
