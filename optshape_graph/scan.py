@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.sensor import SensorModel
 
@@ -16,7 +16,7 @@ Values = TypeVar("Values", Floats | None, Ints | None)
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
+class Scan(Value):
     """Returns of one LiDAR, of one revolution or part of it.
 
     Attributes:
@@ -56,6 +56,10 @@ class Scan:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def __repr__(self) -> str:
+        rings = "" if self.ring is None else f", {len(np.unique(self.ring))} rings"
+        return f"Scan('{self.name}', {len(self)} returns{rings})"
 
     def select(self, index: NDArray[np.bool_] | NDArray[np.int64]) -> Scan:
         """Return the returns that a mask (N,) or an index array (M,) picks, with all their fields."""

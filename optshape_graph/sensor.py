@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
-class SensorModel:
+class SensorModel(Value):
     """A spinning multi-beam LiDAR.
 
     Attributes:
@@ -89,6 +89,10 @@ class SensorModel:
                 )
             object.__setattr__(self, "azimuth_offsets", offsets)
         object.__setattr__(self, "elevations", elevations)
+
+    def __repr__(self) -> str:
+        low, high = np.degrees(self.elevations[[0, -1]])
+        return f"SensorModel('{self.name}', {self.n_rings} rings, {low:.4g} to {high:.4g} deg)"
 
     @property
     def n_rings(self) -> int:

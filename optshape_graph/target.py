@@ -12,8 +12,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
+from optshape_graph.se3 import rotation, transform
 
 LARGEST_EXTENT_M = 50.0
 """A target wider than this is taken for one given in millimetres."""
@@ -40,8 +41,8 @@ class Chessboard:
     offset: tuple[float, float] = (0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Tags:
+@dataclass(frozen=True, eq=False)
+class Tags(Value):
     """Square fiducial tags printed on a target.
 
     Attributes:
@@ -58,7 +59,7 @@ class Tags:
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class Target(Value):
     """A planar convex polygon with n >= 3 vertices.
 
     Edge k runs from vertex k to vertex k + 1 (mod n).
@@ -103,6 +104,10 @@ class Target:
 
     def __len__(self) -> int:
         return len(self.vertices)
+
+    def __repr__(self) -> str:
+        width, height = np.ptp(self.polygon, axis=0)
+        return f"Target('{self.name}', {len(self)} vertices, {width:.3g} x {height:.3g} m)"
 
     @cached_property
     def polygon(self) -> Floats:
@@ -153,9 +158,34 @@ class Target:
         return tuple(sorted(angles))
 
     @cached_property
+    def symmetry_transforms(self) -> Floats:
+        """(S, 4, 4) of `symmetries`, the identity first: T_lidar_target S is the same placement, named otherwise."""
+        return frozen(transform(rotation([[angle, 0.0, 0.0] for angle in self.symmetries])))
+
+    @cached_property
     def symmetry_rotations(self) -> tuple[Floats, ...]:
-        """Rotations (3, 3) of `symmetries`: T_lidar_target @ S describes the same placement of the target."""
-        return tuple(frozen(_rotation_x(angle)) for angle in self.symmetries)
+        """Rotations (3, 3) of `symmetries`."""
+        return tuple(S[:3, :3] for S in self.symmetry_transforms)
+
+    def nearest_symmetry(self, T_lidar_target: Floats, predicted: Floats) -> Ints:
+        """Return the number (...) of the symmetry S for which T S is turned least from a predicted pose.
+
+        Args:
+            T_lidar_target: (..., 4, 4) T.
+            predicted: (..., 4, 4) T_lidar_target.
+        """
+        between = np.swapaxes(predicted[..., :3, :3], -1, -2) @ T_lidar_target[..., :3, :3]
+        # The trace of a product of rotations grows as its angle falls.
+        return np.asarray(np.einsum("...ij,sji->...s", between, self.symmetry_transforms[:, :3, :3]).argmax(axis=-1))
+
+    def nearest_equivalent(self, T_lidar_target: Floats, predicted: Floats) -> Floats:
+        """Return the pose (..., 4, 4) of the same placement that is turned least from a predicted one.
+
+        Args:
+            T_lidar_target: (..., 4, 4).
+            predicted: (..., 4, 4) T_lidar_target.
+        """
+        return np.asarray(T_lidar_target @ self.symmetry_transforms[self.nearest_symmetry(T_lidar_target, predicted)])
 
     def scaled(self, factor: float) -> Target:
         """Return the target scaled about its origin; the chessboard, being a print, is dropped.
@@ -185,11 +215,6 @@ class Target:
         """(N,) largest signed distance of (N, 2) points beyond an edge line, metres: negative inside."""
         points = np.asarray(yz, dtype=float)
         return np.asarray((points @ self.normals.T - self.offsets).max(axis=1))
-
-
-def _rotation_x(angle: float) -> Floats:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
 def _signed_area(polygon: Floats) -> float:

@@ -30,3 +30,12 @@ def test_select_keeps_fields_together() -> None:
 def test_what_is_no_scan(points: np.ndarray, ring: np.ndarray | None, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Scan(points, ring)
+
+
+def test_scans_are_equal_by_value() -> None:
+    points = np.arange(12.0).reshape(4, 3)
+    scan = Scan(points, ring=[0, 0, 1, 1], name="a")
+    assert scan == Scan(points, ring=[0, 0, 1, 1], name="a")
+    assert scan != Scan(points, name="a")
+    assert scan != Scan(points + 1e-12, ring=[0, 0, 1, 1], name="a")
+    assert repr(scan) == "Scan('a', 4 returns, 2 rings)"

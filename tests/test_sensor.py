@@ -1,5 +1,7 @@
 """The sensor model: its checks, and the nearest ring."""
 
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -45,3 +47,16 @@ def test_step_can_be_replaced() -> None:
 def test_what_is_no_sensor(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         SensorModel(**arguments)  # type: ignore[arg-type]
+
+
+def test_sensors_are_equal_by_value() -> None:
+    sensor = load_sensor("vlp16")
+    assert sensor == load_sensor("vlp16")
+    assert hash(sensor) == hash(load_sensor("vlp16"))
+    assert sensor not in {load_sensor("vlp32c"), sensor.with_azimuth_step(0.01)}
+    assert sensor != SensorModel(sensor.elevations)
+    assert not pickle.loads(pickle.dumps(sensor)).elevations.flags.writeable
+
+
+def test_a_sensor_prints_as_one_line() -> None:
+    assert repr(load_sensor("vlp16")) == "SensorModel('vlp16', 16 rings, -15 to 15 deg)"

@@ -1,5 +1,8 @@
 """The target: its frame, edges and symmetries, and the polygons that are none."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,6 +10,8 @@ from hypothesis import strategies as st
 
 from optshape_graph import InputError, Target
 from optshape_graph.io import load_target
+from optshape_graph.se3 import apply, exp
+from optshape_graph.target import Tags
 
 
 def regular(n: int, radius: float = 0.5, turn: float = 0.1) -> Target:
@@ -18,8 +23,8 @@ def regular(n: int, radius: float = 0.5, turn: float = 0.1) -> Target:
 def test_regular_polygons_have_n_symmetries(n: int) -> None:
     target = regular(n)
     np.testing.assert_allclose(target.symmetries, 2 * np.pi * np.arange(n) / n, atol=1e-9)
-    for S in target.symmetry_rotations:
-        turned = target.vertices @ S.T
+    np.testing.assert_array_equal(target.symmetry_transforms[0], np.eye(4))
+    for turned in apply(target.symmetry_transforms, target.vertices):
         gaps = np.linalg.norm(turned[:, None] - target.vertices[None], axis=-1).min(axis=1)
         assert gaps.max() < 1e-9
 
@@ -56,6 +61,44 @@ def test_scaling(area: float) -> None:
     scaled = load_target("paper").scaled_to_area(area)
     assert scaled.area == pytest.approx(area)
     np.testing.assert_allclose(scaled.normals, load_target("paper").normals)
+
+
+@given(st.integers(3, 7), st.integers(0, 2**32 - 1))
+def test_equivalent_poses_are_named_as_predicted(n: int, seed: int) -> None:
+    target, rng = regular(n), np.random.default_rng(seed)
+    T, moved = (exp(rng.normal(size=(2, 5, 6))) for _ in range(2))
+    k = rng.integers(n, size=(2, 5))
+    # Named otherwise and turned by less than half of the symmetry's angle, the pose is recognised.
+    predicted = T @ target.symmetry_transforms[k] @ exp(0.4 * np.pi / n * np.eye(6)[rng.integers(6, size=(2, 5))])
+    np.testing.assert_array_equal(target.nearest_symmetry(T, predicted), k)
+    np.testing.assert_allclose(target.nearest_equivalent(T, predicted), T @ target.symmetry_transforms[k], atol=1e-12)
+    # The frame that poses are in does not matter.
+    np.testing.assert_array_equal(target.nearest_symmetry(moved @ T, moved @ predicted), k)
+
+
+def test_targets_are_equal_by_value() -> None:
+    for name in ("paper", "square"):
+        a, b = load_target(name), load_target(name)
+        assert a == b
+        assert hash(a) == hash(b)
+    assert load_target("paper") != load_target("built")
+    assert load_target("paper") != load_target("paper").scaled(1.01)
+    assert load_target("paper") != Target(load_target("paper").vertices, "other")
+    tagged = [Target(regular(4).vertices, tags=Tags("4X4_50", 0.1, centres)) for centres in ({1: (0, 0)}, {2: (0, 0)})]
+    assert tagged[0] != tagged[1]
+    assert len({*tagged, Target(regular(4).vertices, tags=Tags("4X4_50", 0.1, {1: (0, 0)}))}) == 2
+    assert regular(4) != "4-gon"
+
+
+def test_a_target_prints_as_one_line() -> None:
+    assert repr(load_target("paper@0.5")) == "Target('paper@0.5', 4 vertices, 1.13 x 0.758 m)"
+
+
+def test_copies_stay_read_only() -> None:
+    target = load_target("paper")
+    for other in (pickle.loads(pickle.dumps(target)), copy.deepcopy(target), copy.copy(target)):
+        assert other == target
+        assert not other.vertices.flags.writeable
 
 
 def test_arrays_are_read_only() -> None:

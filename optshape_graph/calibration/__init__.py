@@ -1,1 +1,1 @@
-"""A LiDAR's place among other sensors, from targets: motion capture (`mocap`) and cameras (`camera_calibration`)."""
+"""A LiDAR's place among other sensors, from targets: motion capture (`mocap`) and cameras (`camera`)."""

@@ -18,16 +18,13 @@ from scipy.stats import chi2
 from optshape_graph._arrays import Floats, Ints, frozen
 from optshape_graph.edges import extract_edge_points, with_top_and_bottom
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors.measurement import template_rows
-from optshape_graph.factors.se3 import vec, vec_derivative
-from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.pose import estimate_pose
-from optshape_graph.pose.angles import level_rings
 from optshape_graph.pose.association import fit_plane
-from optshape_graph.pose.intervals import mixture_moments
-from optshape_graph.pose.noise import LOST_RETURNS, LOST_SPAN, EdgeNoise, returns_on_plane
-from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry, own_variance
+from optshape_graph.pose.azimuth_grid import level_rings
+from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
+from optshape_graph.pose.propagation import Problem, edge_geometry, posterior_step
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import apply, vec, vec_derivative
 from optshape_graph.target import Target
 
 FREE_SIGMA_M = 0.05
@@ -36,8 +33,8 @@ FREE_SIGMA_M = 0.05
 BUILT_SIGMA_M = 1e-3
 """How true to a right drawing a target is built."""
 
-RELINEARISATIONS, SWEEPS, DAMPING = 6, 6, 0.8
-"""Rounds, updates of all edge points in each, and the share of each update that is taken."""
+RELINEARISATIONS, SWEEPS = 6, 6
+"""Rounds, and updates of all edge points in each."""
 
 DISAGREEMENT = 1e-3
 """Probability of sides so far from a right drawing, below which it is called wrong."""
@@ -205,7 +202,11 @@ def _free(scan: Scan, target: Target, T: Floats) -> tuple[Floats, Floats]:
         shift[:6] = -(z @ problem.plane[:12, :12] + problem.plane[12, :12]) @ D
         precision[6:, 6:], shift[6:] = prior, prior @ (start - x)
         residual = geometry.residual[0] + x[0] * across
-        mean, covariance = _propagate(problem, geometry, precision, shift, J, residual)
+        inset, spread = problem.edges.middle, problem.edges.width**2 / 12
+        step = posterior_step(
+            problem, geometry, precision[None], shift[None], J[None], residual[None], inset, spread, SWEEPS, settled=0.0
+        )
+        mean, covariance = step.mean[0], step.covariance[0]
         x = x + mean[6:]
         # A target's origin is the mean of its vertices: the pose takes up what the vertices move together.
         polygon = x[1:].reshape(n, 2)
@@ -220,56 +221,8 @@ def _problem(scan: Scan, target: Target) -> Problem:
     edges, plane = extract_edge_points(scan), fit_plane(scan.points, scan.ring)
     if edges.n_rings == edges.ring[-1] - edges.ring[0] + 1:
         edges = with_top_and_bottom(edges, scan)
-    rows = returns_on_plane(scan.points, scan.ring, plane.axes[0], plane.distance, scan.sensor, 0.0)
-    A, r = template_rows(rows.points, np.broadcast_to([1.0, 0.0, 0.0], rows.points.shape), rows.offset)
-    A, r = A / rows.sigma[:, None], r / rows.sigma
-    on_plane = BiasedMeasurement.from_rows(A, rows.bias, r, np.eye(4)).marginal(1.0)
+    on_plane = plane_measurement(returns_on_plane(scan, plane.axes[0], plane.distance)).marginal(1.0)
     return Problem(edges, target, on_plane.quadratic(), EdgeNoise.of(scan.sensor))
-
-
-def _propagate(
-    problem: Problem, geometry: EdgeGeometry, precision: Floats, shift: Floats, J: Floats, r: Floats
-) -> tuple[Floats, Floats]:
-    """Mean and covariance (k,), (k, k) of the unknowns' step, the boundary being within an interval at each ring end.
-
-    Args:
-        problem: the edge points.
-        geometry: theirs.
-        precision: (k, k) of everything else, and
-        shift: (k,) its information vector.
-        J: (M, k) derivative of the residuals by the unknowns.
-        r: (M,) residuals.
-    """
-    along, own, edges = geometry.along[0], own_variance(problem, geometry)[0], problem.edges
-    step = np.maximum(edges.width, edges.azimuth_step)
-    lost = edges.lower + LOST_SPAN[0] * step, edges.lower + LOST_SPAN[1] * step
-    ends = -np.array([[edges.lower, edges.upper], lost]) * along
-    lower, upper = ends.min(axis=1) - 1e-7, ends.max(axis=1) + 1e-7
-    log_density = np.log(np.array([1 - LOST_RETURNS, LOST_RETURNS / (LOST_SPAN[1] - LOST_SPAN[0])]))[:, None]
-    log_density = np.repeat(log_density, len(along), axis=1)
-    log_density[0] += np.log(step / edges.width) - np.where(along > 0, 0.0, 20.0)
-    tau = 1.0 / (own + edges.width**2 / 12 * along**2)
-    nu = -tau * edges.middle * along
-    for sweep in range(SWEEPS + 1):
-        covariance = np.linalg.inv(precision + J.T @ (tau[:, None] * J))
-        mean = covariance @ (shift + J.T @ (nu - tau * r))
-        if sweep == SWEEPS:
-            break
-        variance = ((J @ covariance) * J).sum(axis=1)
-        cavity_variance = 1.0 / np.maximum(1.0 / variance - tau, 1e-4 / variance)
-        cavity_mean = cavity_variance * ((r + J @ mean) / variance - nu)
-        seen = cavity_variance + own
-        _, boundary, boundary_variance = mixture_moments(cavity_mean, seen, lower, upper, log_density)
-        gain = cavity_variance / seen
-        tilted = cavity_mean + gain * (boundary - cavity_mean)
-        tilted_variance = cavity_variance * (1.0 - gain) + gain**2 * boundary_variance
-        # Where the mixture's two parts pull apart, a site can turn out to widen: then it says nothing.
-        informative = 1.0 / tilted_variance - 1.0 / cavity_variance
-        silent = informative < 1e-6 / seen
-        site = np.where(silent, 0.0, tilted / tilted_variance - cavity_mean / cavity_variance)
-        tau = tau + DAMPING * (np.where(silent, 1e-6 / seen, informative) - tau)
-        nu = nu + DAMPING * (site - nu)
-    return mean, covariance
 
 
 def _by_vertex(problem: Problem, T: Floats, labels: Ints) -> Floats:
@@ -277,7 +230,7 @@ def _by_vertex(problem: Problem, T: Floats, labels: Ints) -> Floats:
     polygon, edges = problem.target.polygon, problem.edges
     n, rows = len(polygon), np.arange(len(edges))
     boundary = edges.points + edges.middle[:, None] * edges.outward(T[0, :3])
-    yz = (boundary @ T[:3, :3].T + T[:3, 3])[:, 1:]
+    yz = apply(T, boundary)[:, 1:]
     first, side = polygon[labels], polygon[(labels + 1) % n] - polygon[labels]
     share = (((yz - first) * side).sum(axis=1) / (side**2).sum(axis=1)).clip(0.0, 1.0)[:, None]
     J = np.zeros((len(edges), n, 2))

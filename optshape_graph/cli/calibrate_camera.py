@@ -11,7 +11,7 @@ from optshape_graph.cli.options import outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
-    from optshape_graph.calibration.camera_calibration import CameraCalibration
+    from optshape_graph.calibration.camera.calibrate import CameraCalibration
 
 
 @click.command()
@@ -49,10 +49,10 @@ def command(
     Errors are leave-one-out: each view is predicted by the extrinsic of the others. Exit status 3: some views took no
     part; the result is that of the others.
     """
-    from optshape_graph.calibration.camera_calibration import calibrate
-    from optshape_graph.calibration.camera_export import as_document, kalibr_camchain
-    from optshape_graph.calibration.camera_graph import Unknowns
-    from optshape_graph.calibration.camera_session import read_views
+    from optshape_graph.calibration.camera.calibrate import calibrate
+    from optshape_graph.calibration.camera.export import as_document, kalibr_camchain
+    from optshape_graph.calibration.camera.graph import Unknowns
+    from optshape_graph.calibration.camera.session import read_views
     from optshape_graph.cli.console import progress_bar
     from optshape_graph.io import load_session
     from optshape_graph.io.documents import write_json, write_yaml
@@ -86,10 +86,9 @@ def command(
 def _print(calibration: CameraCalibration) -> None:
     import numpy as np
 
-    from optshape_graph.calibration.camera_export import static_transforms
+    from optshape_graph.calibration.camera.export import static_transforms
     from optshape_graph.cli.console import print_table
-    from optshape_graph.factors import inverse_covariance
-    from optshape_graph.factors.se3 import inverse
+    from optshape_graph.se3 import inverse, inverse_covariance
 
     rows = []
     for result in calibration.views:

@@ -12,7 +12,7 @@ from optshape_graph.cli.options import outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
-    from optshape_graph.calibration.mocap_comparison import ScanError
+    from optshape_graph.calibration.mocap.comparison import ScanError
 
 
 @click.command()
@@ -29,9 +29,9 @@ def command(
     Errors are leave-one-out: each scan is compared in a frame fitted to the other scans. Exit status 3: some scans took
     no part; the results of the others are written.
     """
-    from optshape_graph.calibration.mocap import calibrate_mocap
-    from optshape_graph.calibration.mocap_comparison import mean_error
-    from optshape_graph.calibration.mocap_session import load_mocap_scans
+    from optshape_graph.calibration.mocap.calibrate import calibrate_mocap
+    from optshape_graph.calibration.mocap.comparison import mean_error
+    from optshape_graph.calibration.mocap.session import load_mocap_scans
     from optshape_graph.cli.console import print_table, print_transform, progress_bar
     from optshape_graph.io import load_session
     from optshape_graph.io.documents import write_json
@@ -87,7 +87,7 @@ def command(
 
 
 def _print_errors(print_table: Any, loo: Sequence[ScanError], inside: Sequence[ScanError]) -> None:
-    from optshape_graph.calibration.mocap_comparison import mean_error
+    from optshape_graph.calibration.mocap.comparison import mean_error
 
     rows = [
         [a.scan, *(f"{value:.4f}" for value in (a.rmse_m, a.e_t_m)), f"{a.e_r_deg:.2f}",

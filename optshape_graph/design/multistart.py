@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -145,10 +145,10 @@ def _document(start: Start, problem: Problem, seed: int) -> dict[str, Any]:
 
 
 def _read(path: Path, problem: Problem, seed: int) -> Start:
-    document = read_document(path, KIND).fields(["schema", "seed", "problem", "start"])
+    document = read_document(path, KIND).entries()
     if (document["seed"].integer(), document["problem"].value) != (seed, _plain(asdict(problem))):
         raise InputError(f"{path}: belongs to a search for another problem or with another seed; use another folder")
-    start = document["start"].fields([field.name for field in fields(Start)])
+    start = document["start"].entries()
     return Start(
         index=start["index"].integer(),
         initial=tuple(map(float, start["initial"].numbers(5))),

@@ -1,19 +1,19 @@
-"""Candidates: planar patches grown to all returns in their plane, and a first look at their size."""
+"""Candidates: patches grown to all returns in their plane, without arms and poles, and their size."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.distance import pdist
 
 from optshape_graph._arrays import Bools, Floats, Ints
-from optshape_graph.detection.borders import borders
-from optshape_graph.detection.limbs import without_limbs
-from optshape_graph.detection.patches import RINGS_APART, Patch
-from optshape_graph.detection.runs import Runs, find_runs
-from optshape_graph.detection.segments import Sweep
+from optshape_graph.detection.options import DetectionOptions
+from optshape_graph.detection.patches import Patch
+from optshape_graph.detection.segments import OrderedScan, Runs, find_borders, find_runs, ring_ends
 from optshape_graph.errors import EstimationError
 from optshape_graph.pose.association import ReturnsPlane, fit_plane
+from optshape_graph.target import Target
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +21,7 @@ class Candidate:
     """Connected returns in one plane.
 
     Attributes:
-        rows: (N,) of the sweep.
+        rows: (N,) of the ordered scan.
         core: (K,) those of the patch it grew from: without tips that few returns are on, and without bits of a stand.
         plane: through them.
         area: square metres that their beams cover, gaps of lost returns included.
@@ -43,36 +43,35 @@ class Candidate:
     stepped: float
 
 
-def grow(sweep: Sweep, patch: Patch, reach: float) -> Candidate:
+def grow(scan: OrderedScan, patch: Patch, reach: float) -> Candidate:
     """Grow a patch to all returns in its plane that are connected with it.
 
     Args:
-        sweep: the scan.
+        scan: the ordered scan.
         patch: where to start.
         reach: metres from the patch's centre, at most.
 
     Raises:
         EstimationError: the returns do not span a plane, or it is seen edge-on.
     """
-    of_patch = np.zeros(len(sweep.first), dtype=bool)
+    of_patch = np.zeros(len(scan.first), dtype=bool)
     of_patch[patch.segments] = True
-    seed = of_patch[sweep.segment]
-    near = sweep.near(patch.centre, reach)
+    seed = of_patch[scan.segment]
+    near = scan.near(patch.centre, reach)
     member = near[seed[near]]
     for _ in range(2):
-        plane = fit_plane(sweep.points[member], sweep.ring[member])
-        off = (sweep.points[near] - plane.centre) @ plane.axes[0]
-        band = sweep.resolution.band(float(plane.axes[0] @ plane.centre / np.linalg.norm(plane.centre)))
-        runs = find_runs(sweep, near[np.abs(off) < band])
-        keep = _connected(sweep, runs, seed)
+        plane = fit_plane(scan.points[member], scan.ring[member])
+        off = (scan.points[near] - plane.centre) @ plane.axes[0]
+        runs = find_runs(scan, near[np.abs(off) < scan.band(plane.axes[0], plane.centre)])
+        keep = _connected(scan, runs, seed)
         member = runs.rows[keep]
     if len(member) == 0:
         raise EstimationError("no returns in its plane")
-    member = member[without_limbs(sweep, member, plane)]
-    runs = find_runs(sweep, member)
-    plane = fit_plane(sweep.points[member], sweep.ring[member])
-    area, spread = _covered_area(sweep, runs, plane)
-    ends = borders(sweep, member)
+    member = member[without_limbs(scan, member, plane)]
+    runs = find_runs(scan, member)
+    plane = fit_plane(scan.points[member], scan.ring[member])
+    area, spread = _covered_area(scan, runs, plane)
+    ends = find_borders(scan, member)
     return Candidate(
         rows=runs.rows,
         core=runs.rows[seed[runs.rows]],
@@ -80,14 +79,14 @@ def grow(sweep: Sweep, patch: Patch, reach: float) -> Candidate:
         area=area,
         spread=spread,
         n_rings=len(np.unique(runs.ring)),
-        cut=bool(runs.ring[0] == 0 or runs.ring[-1] == len(sweep.elevations) - 1),
+        cut=bool(runs.ring[0] == 0 or runs.ring[-1] == len(scan.elevations) - 1),
         hidden=bool(ends.hidden.any()),
         stepped=float(ends.open.mean()),
     )
 
 
-def _connected(sweep: Sweep, runs: Runs, seed: Bools) -> Bools:
-    """(N,) whether each return's run holds a seed, or overlaps one that does, a ring or two away.
+def _connected(scan: OrderedScan, runs: Runs, seed: Bools) -> Bools:
+    """(N,) whether each return's run holds a seed, or overlaps one that does and is few rings away.
 
     No further: what hangs on to a target, like the pole of its stand, is left out.
     """
@@ -95,23 +94,133 @@ def _connected(sweep: Sweep, runs: Runs, seed: Bools) -> Bools:
         return np.zeros(0, dtype=bool)
     seeded = np.logical_or.reduceat(seed[runs.rows], runs.first)
     left, right = runs.azimuth[runs.last], runs.azimuth[runs.first]
-    slack = sweep.resolution.step
+    slack = scan.resolution.step
     overlap = (left[:, None] + slack >= right[seeded]) & (left[seeded] + slack >= right[:, None])
-    near = np.abs(runs.ring[:, None] - runs.ring[seeded]) <= RINGS_APART
+    near = np.abs(runs.ring[:, None] - runs.ring[seeded]) <= scan.options.rings_apart
     return np.repeat((overlap & near).any(axis=1), runs.last - runs.first + 1)
 
 
-def _covered_area(sweep: Sweep, runs: Runs, plane: ReturnsPlane) -> tuple[float, Floats]:
+def _covered_area(scan: OrderedScan, runs: Runs, plane: ReturnsPlane) -> tuple[float, Floats]:
     """Area in the plane that the beams of the runs stand for, square metres, and its spread (2,).
 
     A beam's solid angle cos(e) da de covers r^2 cos(e) da de / cos(incidence).
     """
-    points, count = sweep.points[runs.rows], runs.last - runs.first + 1
+    points, count = scan.points[runs.rows], runs.last - runs.first + 1
     density = (points**2).sum(axis=1) * np.hypot(points[:, 0], points[:, 1]) / np.abs(points @ plane.axes[0])
-    width = runs.azimuth[runs.last] - runs.azimuth[runs.first] + sweep.resolution.step
-    of_run = np.repeat(width * sweep.ring_heights[runs.ring] / count, count)
+    width = runs.azimuth[runs.last] - runs.azimuth[runs.first] + scan.resolution.step
+    of_run = np.repeat(width * scan.ring_heights[runs.ring] / count, count)
     weight = density * of_run
     yz = (points - plane.centre) @ plane.axes[1:].T
     area = float(weight.sum())
     yz -= weight @ yz / area
     return area, np.sqrt(np.linalg.eigvalsh((yz * weight[:, None]).T @ yz / area).clip(min=0.0))
+
+
+def without_limbs(scan: OrderedScan, rows: Ints, plane: ReturnsPlane) -> Bools:
+    """(N,) which returns (N,) of a surface are not on an arm, a handle or a stand: what its other rings allow.
+
+    The side of a convex outline is a concave function of height: nowhere is it further out than the line through two
+    points of it above, or below. Those are taken a limb's thickness apart, so that one limb does not vouch for itself;
+    of several such lines the middle one counts, since some may lean on a limb.
+    """
+    ends = ring_ends(scan, rows)
+    n_rings = len(ends) // 2
+    at = (scan.points[ends] - plane.centre) @ plane.axes[1:].T
+    height = at[:, 1].reshape(2, n_rings)
+    distance = float(np.linalg.norm(plane.centre))
+    cos_incidence = abs(float(plane.axes[0] @ plane.centre) / distance)
+    slack = scan.options.limb_slack * scan.resolution.step * distance / cos_incidence
+    rise = float(np.median(np.abs(np.diff(height.mean(axis=0))))) if n_rings > 1 else 0.0
+    apart = int(np.ceil(scan.options.thickest_limb / rise)) if rise > 0 else n_rings
+    if 2 * apart >= n_rings:
+        return np.ones(len(rows), dtype=bool)
+    yz = (scan.points[rows] - plane.centre) @ plane.axes[1:].T
+    _, ring = np.unique(scan.ring[rows], return_inverse=True)
+    keep = np.ones(len(rows), dtype=bool)
+    for side, end, z in zip((-1.0, 1.0), at[:, 0].reshape(2, n_rings), height, strict=True):
+        lines = [
+            line
+            for near, far in ((1, 2), (1, 3), (2, 3))
+            for line in (
+                _beyond(side * end, z, near * apart, far * apart),
+                _beyond((side * end)[::-1], z[::-1], near * apart, far * apart)[::-1],
+            )
+        ]
+        reach = _middle(np.array(lines))
+        keep &= ~(side * yz[:, 0] > reach[ring] + slack)  # not a number: nothing to compare with
+    return keep
+
+
+def _middle(lines: Floats) -> Floats:
+    """(M,) median over lines (L, M), the upper of two; not a number where none of them is one."""
+    count = np.isfinite(lines).sum(axis=0)
+    return np.asarray(np.sort(lines, axis=0)[np.minimum(count // 2, len(lines) - 1), np.arange(lines.shape[1])])
+
+
+def _beyond(end: Floats, height: Floats, near: int, far: int) -> Floats:
+    """(M,) where the line through the ends `near` and `far` rings on meets each ring; not a number: no such."""
+    meets = np.full(len(end), np.nan)
+    count = len(end) - far
+    if count > 0:
+        slope = (end[near : near + count] - end[far:]) / (height[near : near + count] - height[far:])
+        meets[:count] = end[far:] + slope * (height[:count] - height[far:])
+    return meets
+
+
+@dataclass(frozen=True, eq=False)
+class Size:
+    """Measures of a polygon that no rotation changes.
+
+    Attributes:
+        area: square metres.
+        spread: (2,) standard deviations of the area along its principal axes, the smaller first, metres.
+        diameter: largest distance of two vertices, metres.
+        width: distance of the closest two parallels that hold it, metres.
+    """
+
+    area: float
+    spread: Floats
+    diameter: float
+    width: float
+
+    @classmethod
+    def of(cls, target: Target) -> Size:
+        """Measure a target."""
+        polygon = target.polygon
+        following = np.roll(polygon, -1, axis=0)
+        # Green's theorem, triangle by triangle from the origin.
+        triangles = 0.5 * (polygon[:, 0] * following[:, 1] - following[:, 0] * polygon[:, 1])
+        centroid = triangles @ (polygon + following) / (3.0 * target.area)
+        a, b = polygon, following
+        second = np.einsum("k,kij->ij", triangles / 6.0, a[:, :, None] * a[:, None] + b[:, :, None] * b[:, None])
+        cross = np.einsum("k,kij->ij", triangles / 12.0, a[:, :, None] * b[:, None] + b[:, :, None] * a[:, None])
+        covariance = (second + cross) / target.area - np.outer(centroid, centroid)
+        across = target.offsets - (polygon @ target.normals.T).min(axis=0)
+        return cls(
+            target.area, np.sqrt(np.linalg.eigvalsh(covariance)), float(pdist(polygon).max()), float(across.min())
+        )
+
+    def objection(self, candidate: Candidate, options: DetectionOptions) -> str:
+        """Say why a candidate cannot be of this size; empty: it can.
+
+        Rings cover a surface to half a ring's spacing at the top and the bottom.
+        """
+        most = 1.0 + options.size_excess + 0.5 / candidate.n_rings
+        seen = (
+            options.size_seen_cut
+            if candidate.cut
+            else options.size_seen_hidden
+            if candidate.hidden
+            else options.size_seen
+        )
+        least = seen - 0.5 / candidate.n_rings
+        area = candidate.area / self.area
+        if not least <= area <= most:
+            return f"covers {candidate.area:.2f} m2, the target {self.area:.2f} m2"
+        ratio = candidate.spread / self.spread
+        if not (least <= ratio.min() and ratio.max() <= most):
+            return (
+                f"spreads {candidate.spread[0]:.2f} x {candidate.spread[1]:.2f} m, "
+                f"the target {self.spread[0]:.2f} x {self.spread[1]:.2f} m"
+            )
+        return ""

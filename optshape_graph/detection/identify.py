@@ -1,4 +1,4 @@
-"""Which target a surface is: each of the right size is fitted, what does not fit goes, the likeliest remains."""
+"""Tell which target a surface is: fit each of the right size, drop what does not fit, take the likeliest."""
 
 from __future__ import annotations
 
@@ -8,29 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
-from optshape_graph.detection.candidates import Candidate
+from optshape_graph.detection.candidates import Candidate, Size
 from optshape_graph.detection.judge import edge_margin, judge, objection, returns_of, undoubted
 from optshape_graph.detection.results import Detection, Evidence, Rejection
-from optshape_graph.detection.runs import ring_ends
-from optshape_graph.detection.segments import Sweep
-from optshape_graph.detection.size import Size
+from optshape_graph.detection.segments import OrderedScan, ring_ends
 from optshape_graph.errors import EstimationError
-from optshape_graph.pose import PoseEstimate, estimate_pose
-from optshape_graph.pose.estimate import AMBIGUITY_MARGIN
+from optshape_graph.pose import PoseEstimate, PoseOptions, estimate_pose
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
-
-ROUNDS = 3
-"""How often the returns are chosen again by the pose that they gave, at most."""
-
-
-UNLIKELY = 1e-3
-"""Probability below which a target that fits is not named as a candidate."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """One target fitted to a candidate: rows of the sweep taken for its returns, pose, evidence."""
+    """One target fitted to a candidate: rows of the ordered scan taken for its returns, pose, evidence."""
 
     rows: Ints
     estimate: PoseEstimate
@@ -38,13 +28,13 @@ class _Fit:
 
 
 def identify(
-    scan: Scan, sweep: Sweep, candidate: Candidate, targets: Sequence[Target], sizes: Sequence[Size]
+    scan: Scan, ordered: OrderedScan, candidate: Candidate, targets: Sequence[Target], sizes: Sequence[Size]
 ) -> tuple[Detection | None, list[Rejection]]:
     """Find the target that a candidate is.
 
     Args:
         scan: what it was found in.
-        sweep: the same, ordered.
+        ordered: the same, ordered.
         candidate: a surface.
         targets: those it may be.
         sizes: of each.
@@ -55,14 +45,14 @@ def identify(
     fits: list[_Fit] = []
     rejected: list[Rejection] = []
     for target, size in zip(targets, sizes, strict=True):
-        fit = _compare(scan, sweep, candidate, target, size)
+        fit = _compare(scan, ordered, candidate, target, size)
         if isinstance(fit, str):
             rejected.append(rejection(candidate, fit, target.name))
         else:
             fits.append(fit)
     if not fits:
         return None, rejected
-    likelihoods = _likelihoods(scan, sweep, fits)
+    likelihoods = _likelihoods(scan, ordered, fits)
     order = np.argsort(-likelihoods, kind="stable")
     best = fits[order[0]]
     rival = fits[order[1]].estimate.target if len(fits) > 1 else None
@@ -70,14 +60,23 @@ def identify(
     status, reason = best.estimate.status, best.estimate.reason
     share = np.exp(likelihoods[order] - np.logaddexp.reduce(likelihoods))
     probabilities = {fits[k].estimate.target.name: float(p) for k, p in zip(order, share, strict=True)}
-    if rival is not None and margin < AMBIGUITY_MARGIN:
-        likely = ", ".join(f"'{name}' {100 * p:.2g} %" for name, p in probabilities.items() if p > UNLIKELY)
+    if rival is not None and margin < PoseOptions.ambiguity_margin:
+        likely = ", ".join(f"'{name}' {100 * p:.2g} %" for name, p in probabilities.items() if p > 1e-3)
         status, reason = "ambiguous", f"its returns do not tell the targets apart: {likely}"
-    rows = best.rows[np.argsort(sweep.index[best.rows])]
-    doubtful = ~undoubted(sweep, best.estimate, rows)
+    rows = best.rows[np.argsort(ordered.index[best.rows])]
+    doubtful = ~undoubted(ordered, best.estimate, rows)
     target = best.estimate.target
     found = Detection(
-        target, best.estimate, sweep.index[rows], doubtful, best.evidence, rival, margin, probabilities, status, reason
+        target,
+        best.estimate,
+        ordered.index[rows],
+        doubtful,
+        best.evidence,
+        rival,
+        margin,
+        probabilities,
+        status,
+        reason,
     )
     return found, rejected
 
@@ -94,49 +93,49 @@ def rejection(candidate: Candidate, reason: str, target: str = "") -> Rejection:
     )
 
 
-def _compare(scan: Scan, sweep: Sweep, candidate: Candidate, target: Target, size: Size) -> _Fit | str:
+def _compare(scan: Scan, ordered: OrderedScan, candidate: Candidate, target: Target, size: Size) -> _Fit | str:
     """Fit a target to a candidate, or say why it is not that target."""
-    problem = size.objection(candidate)
+    problem = size.objection(candidate, ordered.options)
     if problem:
         return problem
-    fit = _fit(scan, sweep, candidate, candidate.rows, target)
+    fit = _fit(scan, ordered, candidate, candidate.rows, target)
     if isinstance(fit, str) and len(candidate.core) < len(candidate.rows):
         # A bit of a stand can pass for the tip of a target. Without it the pose may be found, and then the true tips.
-        again = _fit(scan, sweep, candidate, candidate.core, target)
+        again = _fit(scan, ordered, candidate, candidate.core, target)
         return fit if isinstance(again, str) else again
     return fit
 
 
-def _fit(scan: Scan, sweep: Sweep, candidate: Candidate, rows: Ints, target: Target) -> _Fit | str:
-    """Estimate the pose; what lies outside the outline it gives goes, what lies inside comes, until the ends rest."""
-    for _ in range(ROUNDS):
+def _fit(scan: Scan, ordered: OrderedScan, candidate: Candidate, rows: Ints, target: Target) -> _Fit | str:
+    """Estimate the pose, and choose the returns again by its outline, until the ends of the rings stay the same."""
+    for _ in range(ordered.options.rounds):
         try:
-            estimate = estimate_pose(scan.select(sweep.index[rows]), target)
+            estimate = estimate_pose(scan.select(ordered.index[rows]), target)
         except EstimationError as error:
             return str(error)
-        margin = edge_margin(sweep, estimate)
-        inside = returns_of(sweep, estimate, margin)
+        margin = edge_margin(ordered, estimate)
+        inside = returns_of(ordered, estimate, margin)
         if len(inside) == 0:
             return "none of its returns lies inside the outline at the pose they give"
-        if np.array_equal(ring_ends(sweep, inside), ring_ends(sweep, rows)):
+        if np.array_equal(ring_ends(ordered, inside), ring_ends(ordered, rows)):
             break
         rows = inside
     # A pose that is not determined is no objection to the target being there.
     if estimate.status == "failed" and not estimate.unobservable:
         return estimate.reason
-    evidence = judge(sweep, candidate.rows, inside, estimate, margin)
-    return objection(evidence) or _Fit(inside, estimate, evidence)
+    evidence = judge(ordered, candidate.rows, inside, estimate, margin)
+    return objection(evidence, ordered.options.least_evidence) or _Fit(inside, estimate, evidence)
 
 
-def _likelihoods(scan: Scan, sweep: Sweep, fits: Sequence[_Fit]) -> Floats:
-    """Log likelihood of each fit; where they differ about which returns are theirs, of the returns they agree on."""
+def _likelihoods(scan: Scan, ordered: OrderedScan, fits: Sequence[_Fit]) -> Floats:
+    """Return the log likelihood of each fit, from the same returns: those that all of them take for theirs."""
     if len(fits) == 1:
         return np.array([fits[0].estimate.log_likelihood])
-    ends = [ring_ends(sweep, fit.rows) for fit in fits]
+    ends = [ring_ends(ordered, fit.rows) for fit in fits]
     if all(np.array_equal(one, ends[0]) for one in ends):
         return np.array([fit.estimate.log_likelihood for fit in fits])
     common = fits[0].rows
     for fit in fits[1:]:
         common = np.intersect1d(common, fit.rows)
-    returns = scan.select(sweep.index[common])
+    returns = scan.select(ordered.index[common])
     return np.array([estimate_pose(returns, fit.estimate.target).log_likelihood for fit in fits])

@@ -10,22 +10,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from optshape_graph._arrays import Bools, Floats, Ints
-from optshape_graph.detection.segments import STEEPEST, Sweep
-
-FEWEST_RETURNS = 3
-"""Returns of a segment that has a direction."""
-
-RINGS_APART = 2
-"""Segments are neighbours up to this many rings apart: a ring on a target may have no return at all."""
-
-TILT_WINDOW = np.radians(20.0)
-"""Segments that agree this well about the tilt of the plane through a segment are taken for one plane's."""
-
-TILT_BASELINE_SIGMAS = 6.0
-"""How far beside a segment another must lie to tell the tilt, in standard deviations of a return off its plane."""
-
-OFF_PLANE_SIGMAS = 3.0
-"""Root mean square distance from a plane beyond which a segment is not in it."""
+from optshape_graph.detection.options import DetectionOptions
+from optshape_graph.detection.segments import OrderedScan
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +19,7 @@ class Patch:
     """Ring segments in one plane, connected.
 
     Attributes:
-        segments: (S,) rows of the sweep's segments.
+        segments: (S,) numbers of the ordered scan's segments.
         centre: (3,) mean of their returns, LiDAR frame, metres.
         normal: (3,) unit normal, away from the sensor.
         area: square metres that their beams cover in the plane.
@@ -47,28 +33,29 @@ class Patch:
     n_rings: int
 
 
-def find_patches(sweep: Sweep, shortest: float, longest: float) -> list[Patch]:
-    """Find the planar patches that segments of a target's size make up.
+def find_patches(scan: OrderedScan, shortest: float, longest: float) -> list[Patch]:
+    """Find the planar patches that segments of a target's size form.
 
     Every segment looks for the plane through itself that most of its surroundings support: a plane through a line
     has one angle left, and each segment nearby votes for one. Neighbouring segments that lie in each other's planes
     are of one patch. Nothing larger than `longest` takes part, so that walls and floors cost nothing.
 
     Args:
-        sweep: the scan.
+        scan: the ordered scan.
         shortest: length of a segment at least, metres.
         longest: length of a segment, and how far around it is looked for others, at most, metres.
     """
-    chord = np.linalg.norm(sweep.points[sweep.last] - sweep.points[sweep.first], axis=1)
-    count = sweep.last - sweep.first + 1
-    taken = np.flatnonzero((count >= FEWEST_RETURNS) & (chord >= shortest) & (chord <= longest))
+    options = scan.options
+    chord = np.linalg.norm(scan.points[scan.last] - scan.points[scan.first], axis=1)
+    count = scan.last - scan.first + 1
+    taken = np.flatnonzero((count >= options.fewest_returns) & (chord >= shortest) & (chord <= longest))
     if len(taken) < 2:
         return []
-    first, last = sweep.first[taken], sweep.last[taken]
-    moments = _moments(sweep, taken)
-    ring, chord = sweep.ring[first], chord[taken]
+    first, last = scan.first[taken], scan.last[taken]
+    moments = _moments(scan, taken)
+    ring, chord = scan.ring[first], chord[taken]
     centre, covariance = _mean_and_covariance(moments)
-    along = (sweep.points[last] - sweep.points[first]) / chord[:, None]
+    along = (scan.points[last] - scan.points[first]) / chord[:, None]
 
     pairs = KDTree(centre).query_pairs(longest, output_type="ndarray")
     pairs = pairs[ring[pairs[:, 0]] != ring[pairs[:, 1]]]
@@ -76,14 +63,16 @@ def find_patches(sweep: Sweep, shortest: float, longest: float) -> list[Patch]:
     order = np.argsort(s, kind="stable")
     s, t = s[order], t[order]
 
-    off_plane = sweep.resolution.off_plane
-    normal = _supported_planes(s, t, centre, along, chord, moments, TILT_BASELINE_SIGMAS * off_plane)
-    limit = (OFF_PLANE_SIGMAS * off_plane) ** 2
+    off_plane = scan.resolution.off_plane
+    normal = _supported_planes(
+        s, t, centre, along, chord, moments, off_plane / np.tan(0.5 * options.tilt_window), options
+    )
+    limit = (options.patch_sigmas * off_plane) ** 2
     for _ in range(2):
         member = _mean_square(normal[s], centre[s], centre[t], covariance[t]) < limit
         normal = _fit(s[member], t[member], moments, len(taken), normal)
     member = _mean_square(normal[s], centre[s], centre[t], covariance[t]) < limit
-    beside = (np.abs(ring[s] - ring[t]) <= RINGS_APART) & _overlap(sweep, first, last, s, t)
+    beside = (np.abs(ring[s] - ring[t]) <= options.rings_apart) & _overlap(scan, first, last, s, t)
     back = _mean_square(normal[t], centre[t], centre[s], covariance[s]) < limit
     linked = member & back & beside
     graph = coo_array((np.ones(linked.sum()), (s[linked], t[linked])), shape=(len(taken), len(taken)))
@@ -95,7 +84,7 @@ def find_patches(sweep: Sweep, shortest: float, longest: float) -> list[Patch]:
     normal = normal * np.where((normal * middle).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     # A beam's solid angle cos(e) da de covers r^2 cos(e) da de / cos(incidence).
     across = np.maximum(np.abs((normal[label] * centre).sum(axis=1)), 1e-3)
-    solid = (sweep.azimuth[last] - sweep.azimuth[first]) * sweep.ring_heights[ring] * np.hypot(*centre[:, :2].T)
+    solid = (scan.azimuth[last] - scan.azimuth[first]) * scan.ring_heights[ring] * np.hypot(*centre[:, :2].T)
     area = np.bincount(label, (centre**2).sum(axis=1) * solid / across)
     order = np.lexsort((ring, label))
     groups = np.split(order, np.cumsum(np.bincount(label))[:-1])
@@ -106,12 +95,12 @@ def find_patches(sweep: Sweep, shortest: float, longest: float) -> list[Patch]:
     ]
 
 
-def _moments(sweep: Sweep, segments: Ints) -> Floats:
+def _moments(scan: OrderedScan, segments: Ints) -> Floats:
     """(S, 10) number, sum and second moments of the returns of some segments."""
-    count = sweep.last[segments] - sweep.first[segments] + 1
+    count = scan.last[segments] - scan.first[segments] + 1
     begin = np.cumsum(count) - count
-    rows = np.arange(count.sum()) + np.repeat(sweep.first[segments] - begin, count)
-    x, y, z = sweep.points[rows].T
+    rows = np.arange(count.sum()) + np.repeat(scan.first[segments] - begin, count)
+    x, y, z = scan.points[rows].T
     columns = np.column_stack([np.ones(len(x)), x, y, z, x * x, x * y, x * z, y * y, y * z, z * z])
     return np.asarray(np.add.reduceat(columns, begin, axis=0))
 
@@ -131,7 +120,14 @@ def _mean_square(normal: Floats, through: Floats, centre: Floats, covariance: Fl
 
 
 def _supported_planes(
-    s: Ints, t: Ints, centre: Floats, along: Floats, chord: Floats, moments: Floats, baseline: float
+    s: Ints,
+    t: Ints,
+    centre: Floats,
+    along: Floats,
+    chord: Floats,
+    moments: Floats,
+    baseline: float,
+    options: DetectionOptions,
 ) -> Floats:
     """(S, 3) normal of the plane through each segment s that its neighbours t support, by total chord.
 
@@ -143,6 +139,7 @@ def _supported_planes(
         chord: (S,) metres.
         moments: (S, 10).
         baseline: metres beside the segment that a neighbour lies at least, to vote.
+        options: the settings.
     """
     ray = centre / np.linalg.norm(centre, axis=1, keepdims=True)
     depth = ray - along * (ray * along).sum(axis=1, keepdims=True)
@@ -152,11 +149,11 @@ def _supported_planes(
     a, b = (to * depth[s]).sum(axis=1), (to * up[s]).sum(axis=1)
     tilt = np.arctan2(a, b)  # of the plane from upright, modulo pi
     tilt = (tilt + np.pi / 2) % np.pi - np.pi / 2
-    votes = np.flatnonzero((np.hypot(a, b) > baseline) & (np.abs(tilt) < STEEPEST))
+    votes = np.flatnonzero((np.hypot(a, b) > baseline) & (np.abs(tilt) < options.steepest))
     order = votes[np.lexsort((tilt[votes], s[votes]))]
     key = 2 * np.pi * s[order] + tilt[order]
     weight = np.concatenate([[0.0], np.cumsum(chord[t[order]])])
-    end = np.searchsorted(key, key + TILT_WINDOW, side="right")
+    end = np.searchsorted(key, key + options.tilt_window, side="right")
     support = weight[end] - weight[:-1]
     best = np.full(len(centre), -1)
     ranked = np.lexsort((support, s[order]))
@@ -178,9 +175,9 @@ def _fit(s: Ints, t: Ints, moments: Floats, n: int, fallback: Floats) -> Floats:
     return np.where(alone[:, None], fallback, vectors[:, :, 0])
 
 
-def _overlap(sweep: Sweep, first: Ints, last: Ints, s: Ints, t: Ints) -> Bools:
+def _overlap(scan: OrderedScan, first: Ints, last: Ints, s: Ints, t: Ints) -> Bools:
     """(P,) whether segments overlap in azimuth, give or take a step, across the seam too."""
-    middle = 0.5 * (sweep.azimuth[first] + sweep.azimuth[last])
-    half = 0.5 * (sweep.azimuth[last] - sweep.azimuth[first])
+    middle = 0.5 * (scan.azimuth[first] + scan.azimuth[last])
+    half = 0.5 * (scan.azimuth[last] - scan.azimuth[first])
     apart = np.abs((middle[s] - middle[t] + np.pi) % (2 * np.pi) - np.pi)
-    return np.asarray(apart <= half[s] + half[t] + sweep.resolution.step)
+    return np.asarray(apart <= half[s] + half[t] + scan.resolution.step)

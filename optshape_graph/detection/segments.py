@@ -1,4 +1,4 @@
-"""Ring segments: runs of returns along a ring with no jump in range between them."""
+"""The scan ring by ring: cut into segments, into runs of one surface, and how those end."""
 
 from __future__ import annotations
 
@@ -8,28 +8,13 @@ from functools import cached_property
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.edges import azimuth_spacing
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
 
-LONGEST_GAP = 4.5
-"""Azimuth steps between two returns of one segment at most: rings on real targets have gaps of up to four."""
-
-STEEPEST = np.radians(75.0)
-"""Angle of incidence beyond which a surface is not taken for a target's."""
-
-JUMP_SIGMAS = 4.0
-"""A range that departs this far from the ones beside it, in its own standard deviations, is of another surface."""
-
-BAND_SIGMAS = 2.5
-"""Distance from a plane, in standard deviations, to which a return is taken for one of its own."""
-
-TURNS = (-2 * np.pi, 0.0, 2 * np.pi)
-"""What an azimuth near the seam of the circle may be off by."""
-
-FLATNESS = 0.005
-"""How far a target departs from a plane, and an estimate of the plane from it, standard deviation, metres."""
+_TURNS = (-2 * np.pi, 0.0, 2 * np.pi)  # an azimuth near the seam of the circle may be off by one of these, rad
 
 
 @dataclass(frozen=True)
@@ -48,14 +33,10 @@ class Resolution:
     off_plane: float
     beam: float
 
-    def band(self, cos_incidence: float) -> float:
-        """Half the thickness, metres, of the returns of a plane seen at an incidence: ranges err along the ray."""
-        return BAND_SIGMAS * float(np.hypot(self.off_plane * cos_incidence, FLATNESS))
-
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
-    """A scan's returns ring by ring, by azimuth, cut into segments.
+class OrderedScan:
+    """A scan's returns sorted by ring and azimuth, and cut into segments.
 
     Attributes:
         index: (N,) row of the scan.
@@ -66,6 +47,7 @@ class Sweep:
         first: (S,) first return of each segment.
         elevations: (R,) rad of each ring, ascending: the sensor's, or as seen.
         resolution: of the sensor that made it.
+        options: the settings it was cut with, for all that follows.
     """
 
     index: Ints
@@ -76,6 +58,7 @@ class Sweep:
     first: Ints
     elevations: Floats
     resolution: Resolution
+    options: DetectionOptions
 
     def __len__(self) -> int:
         return len(self.index)
@@ -91,9 +74,28 @@ class Sweep:
         return np.repeat(np.arange(len(self.first)), self.last - self.first + 1)
 
     @cached_property
+    def ring_heights(self) -> Floats:
+        """(R,) elevation that each ring stands for, rad: half way to the next on either side."""
+        return np.asarray(np.gradient(self.elevations))
+
+    @cached_property
     def _positions(self) -> Floats:
         """(N,) ascending: by ring, then azimuth."""
         return _position(self.ring, self.azimuth)
+
+    def band(self, plane_normal: Floats, centre: Floats) -> float:
+        """Return how far off a plane its own returns lie at most, metres.
+
+        Ranges err along the ray, so a plane seen at an angle has a thinner band.
+
+        Args:
+            plane_normal: (3,) unit normal.
+            centre: (3,) a point of the plane, metres.
+        """
+        cos_incidence = float(plane_normal @ centre / np.linalg.norm(centre))
+        return self.options.band_sigmas * float(
+            np.hypot(self.resolution.off_plane * cos_incidence, self.options.flatness)
+        )
 
     def near(self, centre: Floats, reach: float) -> Ints:
         """Return the rows of the returns within `reach` of a point (3,), metres, ascending.
@@ -104,7 +106,7 @@ class Sweep:
         rows = np.arange(len(self))
         if reach < away:
             middle, half = np.arctan2(centre[1], centre[0]), np.arcsin(reach / away) + 1e-9
-            windows = [np.clip([middle - half + turn, middle + half + turn], -np.pi, np.pi) for turn in TURNS]
+            windows = [np.clip([middle - half + turn, middle + half + turn], -np.pi, np.pi) for turn in _TURNS]
             ends = np.array([window for window in windows if window[0] < window[1]])
             places = _position(np.arange(len(self.elevations))[:, None, None], ends)
             first = np.searchsorted(self._positions, places[..., 0].ravel(), "left")
@@ -112,17 +114,12 @@ class Sweep:
             rows = np.concatenate([rows[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)])
         return np.asarray(rows[((self.points[rows] - centre) ** 2).sum(axis=1) < reach**2])
 
-    @cached_property
-    def ring_heights(self) -> Floats:
-        """(R,) elevation that each ring stands for, rad: half way to the next on either side."""
-        return np.asarray(np.gradient(self.elevations))
 
+def order_scan(scan: Scan, options: DetectionOptions) -> OrderedScan:
+    """Sort a scan's returns along its rings, and cut the rings where the range jumps.
 
-def sweep(scan: Scan) -> Sweep:
-    """Order a scan's returns along its rings, and cut the rings where the range jumps.
-
-    The azimuth step is the sensor's; where it does not state one, the median spacing of the returns. Noise of an
-    unknown sensor: a centimetre, and a centimetre of ring bias.
+    The azimuth step is the sensor's; where it does not state one, the median spacing of the returns. An unknown
+    sensor has a centimetre of noise and a centimetre of ring bias.
 
     Raises:
         InputError: the cloud has no rings.
@@ -141,9 +138,9 @@ def sweep(scan: Scan) -> Sweep:
     points, ring, azimuth = scan.points[order], scan.ring[order], azimuth[order]
     ranges = np.sqrt((points * points).sum(axis=1))
     resolution = _resolution(scan, azimuth, ring)
-    starts = _starts(ring, azimuth, ranges, resolution)
+    starts = _starts(ring, azimuth, ranges, resolution, options)
     elevations = scan.sensor.elevations if scan.sensor is not None else _elevations(points, ranges, ring)
-    return Sweep(order, points, ring, azimuth, ranges, np.flatnonzero(starts), elevations, resolution)
+    return OrderedScan(order, points, ring, azimuth, ranges, np.flatnonzero(starts), elevations, resolution, options)
 
 
 def _position(ring: Ints, azimuth: Floats) -> Floats:
@@ -167,16 +164,16 @@ def _resolution(scan: Scan, azimuth: Floats, ring: Ints) -> Resolution:
     return Resolution(step, noise, float(np.hypot(noise, sensor.ring_bias)), 0.5 * sensor.beam_divergence)
 
 
-def _starts(ring: Ints, azimuth: Floats, ranges: Floats, resolution: Resolution) -> Bools:
+def _starts(ring: Ints, azimuth: Floats, ranges: Floats, resolution: Resolution, options: DetectionOptions) -> Bools:
     """(N,) whether a segment starts at each return.
 
     A surface's range is continued in a straight line from the three returns on either side: the boundary is kept if
     either prediction meets the return across it. That separates surfaces a few noises apart at any incidence, which
     a bound on the jump itself cannot. Where a side is shorter than three returns, the plain jump decides.
     """
-    n, steepest = len(ring), np.tan(STEEPEST)
+    n, steepest = len(ring), np.tan(options.steepest)
     gap, jump = np.diff(azimuth, prepend=azimuth[:1]), np.diff(ranges, prepend=ranges[:1])
-    apart = (np.diff(ring, prepend=ring[:1] - 1) != 0) | (gap > LONGEST_GAP * resolution.step)
+    apart = (np.diff(ring, prepend=ring[:1] - 1) != 0) | (gap > options.longest_gap * resolution.step)
     run = np.cumsum(apart)
     off_line = np.full(n, np.inf)
     before = slice(3, n), slice(2, n - 1), slice(0, max(n - 3, 0)), 1.0
@@ -193,4 +190,88 @@ def _starts(ring: Ints, azimuth: Floats, ranges: Floats, resolution: Resolution)
         off_line[at] = np.minimum(off_line[at], off)
     short = np.isinf(off_line)
     off_line[short] = np.abs(jump[short]) / (np.sqrt(2.0) * resolution.range_noise)
-    return np.asarray(apart | (off_line > JUMP_SIGMAS))
+    return np.asarray(apart | (off_line > options.jump_sigmas))
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Returns of one surface, cut into runs along their rings.
+
+    Attributes:
+        rows: (N,) of the ordered scan, by ring and azimuth.
+        azimuth: (N,) rad, relative to the middle of them, across the seam.
+        first: (K,) first return of each run, in `rows`.
+        last: (K,) last return of each run.
+        ring: (K,) of each run.
+    """
+
+    rows: Ints
+    azimuth: Floats
+    first: Ints
+    last: Ints
+    ring: Ints
+
+
+def find_runs(scan: OrderedScan, rows: Ints) -> Runs:
+    """Cut returns, `rows` (N,) of one side of the sensor, into runs along their rings."""
+    direction = np.exp(1j * scan.azimuth[rows])
+    azimuth = np.angle(direction * np.conj(direction.sum()))
+    ring = scan.ring[rows]
+    turned, onward = np.diff(azimuth), np.diff(ring)
+    if ((onward < 0) | ((onward == 0) & (turned < 0))).any():  # mostly they are in order already
+        order = np.lexsort((azimuth, ring))
+        rows, azimuth, ring = rows[order], azimuth[order], ring[order]
+    longest_gap = scan.options.longest_gap * scan.resolution.step
+    starts = (np.diff(ring, prepend=-1) != 0) | (np.diff(azimuth, prepend=0.0) > longest_gap)
+    first = np.flatnonzero(starts)
+    last = np.append(first[1:], len(rows)) - 1 if len(rows) else first
+    return Runs(rows, azimuth, first, last, ring[first])
+
+
+def ring_ends(scan: OrderedScan, rows: Ints) -> Ints:
+    """(2 M,) of the `rows` (N,) at which rings begin, ring by ring, followed by those at which they end."""
+    runs = find_runs(scan, rows)
+    first = np.flatnonzero(np.diff(scan.ring[runs.rows], prepend=-1))
+    last = np.append(first[1:], len(runs.rows)) - 1
+    return np.asarray(runs.rows[np.concatenate([first, last])])
+
+
+@dataclass(frozen=True, eq=False)
+class Borders:
+    """How the rings on a surface end, at both ends of each. Where neither holds, the surface bends away.
+
+    Attributes:
+        open: (2 M,) the range jumps back beyond the end, or nothing returns: the surface ends there.
+        hidden: (2 M,) what follows stands before the surface, which may go on behind it.
+    """
+
+    open: Bools
+    hidden: Bools
+
+
+def find_borders(scan: OrderedScan, rows: Ints) -> Borders:
+    """Look at what follows beyond the ends of a surface's rings.
+
+    Up to a few returns beyond an end, and segments as short, are passed over: part of their light came from what is
+    behind.
+
+    Args:
+        scan: the ordered scan.
+        rows: (N,) of it, the returns of the surface.
+    """
+    fewest, segment = scan.options.fewest_returns, scan.segment
+    long = np.flatnonzero(scan.last - scan.first + 1 >= fewest)
+    ends = ring_ends(scan, rows)
+    side = np.repeat([-1, 1], len(ends) // 2)
+    further = (ends + fewest * side).clip(0, len(scan) - 1)
+    goes_on = (segment[further] == segment[ends]) & (further != ends)
+    after, before = np.searchsorted(long, segment[ends], "right"), np.searchsorted(long, segment[ends]) - 1
+    place = np.where(side > 0, after, before)
+    there = (place >= 0) & (place < len(long))
+    neighbour = long[place.clip(0, len(long) - 1)]
+    beyond = np.where(side > 0, scan.first[neighbour], scan.last[neighbour])
+    there &= scan.ring[beyond] == scan.ring[ends]
+    away = np.abs(scan.azimuth[beyond] - scan.azimuth[ends])
+    there &= away <= 2 * scan.options.longest_gap * scan.resolution.step
+    hidden = there & ~goes_on & (scan.range[beyond] < scan.range[ends])
+    return Borders(open=~goes_on & ~hidden, hidden=hidden)

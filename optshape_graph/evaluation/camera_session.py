@@ -16,6 +16,7 @@ from optshape_graph.io import save_camera, save_sensor, save_target, write_scan
 from optshape_graph.io.documents import write_json, write_yaml
 from optshape_graph.io.files import write_atomically
 from optshape_graph.io.image_files import opencv
+from optshape_graph.se3 import apply
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation import NoiseModel, room, simulate
 from optshape_graph.target import Target
@@ -104,7 +105,7 @@ def _placement(
         T[:3, :3] = Rotation.from_euler("ZYX", [yaw, rng.uniform(-tilt, tilt), rng.uniform(0.5, 0.9)]).as_matrix()
         T[:3, 3] = centre
         in_camera = T_camera_lidar @ T
-        vertices = target.vertices @ in_camera[:3, :3].T + in_camera[:3, 3]
+        vertices = apply(in_camera, target.vertices)
         if (vertices[:, 2] > 0.1).all():
             pixels = project(camera, vertices)
             if (pixels > MARGIN_PX).all() and (pixels < np.array([camera.width, camera.height]) - MARGIN_PX).all():

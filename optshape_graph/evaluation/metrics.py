@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats, frozen
+from optshape_graph.se3 import angle, apply, inverse, inverse_covariance, log, skew
 from optshape_graph.target import Target
 
 
@@ -41,28 +41,16 @@ class PoseError:
 def pose_error(target: Target, T_estimated: Floats, T_true: Floats) -> PoseError:
     """Compare two poses T_lidar_target, (4, 4) each: RMSE, e_t = |t - t~|, e_r = |Log(R R~^T)|.
 
-    Of the poses that the target's symmetry makes equivalent to the estimate, the one with the least RMSE counts.
+    Of the poses that the target's symmetry makes equivalent to the estimate, the nearest one counts.
     """
-    nearest = nearest_equivalent(target, T_estimated, T_true)
-    difference = _vertices(target, nearest) - _vertices(target, T_true)
-    e_r = np.linalg.norm(gtsam.Rot3.Logmap(gtsam.Rot3(T_true[:3, :3] @ nearest[:3, :3].T)))
+    nearest = target.nearest_equivalent(T_estimated, T_true)
+    difference = apply(nearest, target.vertices) - apply(T_true, target.vertices)
     return PoseError(
         rmse=float(np.sqrt((difference**2).sum(axis=1).mean())),
         e_t=float(np.linalg.norm(T_true[:3, 3] - nearest[:3, 3])),
-        e_r=float(e_r),
+        e_r=float(angle(inverse(nearest) @ T_true)),
         distance=float(np.linalg.norm(T_true[:3, 3])),
     )
-
-
-def nearest_equivalent(target: Target, T_estimated: Floats, T_true: Floats) -> Floats:
-    """(4, 4) the pose equivalent to the estimated one, by the target's symmetry, with the least vertex RMSE."""
-    candidates = []
-    for rotation in target.symmetry_rotations:
-        T = T_estimated.copy()
-        T[:3, :3] = T_estimated[:3, :3] @ rotation
-        candidates.append(T)
-    truth = _vertices(target, T_true)
-    return min(candidates, key=lambda T: float(((_vertices(target, T) - truth) ** 2).sum()))
 
 
 def quantisation_error(azimuth_step: float, distance: float) -> float:
@@ -102,14 +90,12 @@ def normalised_error(target: Target, T_estimated: Floats, covariance: Floats, T_
 
     A symmetry S turns the covariance with the pose: Ad(S^-1) C Ad(S^-1)^T is that of T S.
     """
-    nearest = nearest_equivalent(target, T_estimated, T_true)
-    S = gtsam.Pose3(np.linalg.inv(T_estimated) @ nearest)
-    adjoint = S.inverse().AdjointMap()
-    covariance = adjoint @ covariance @ adjoint.T
-    xi = gtsam.Pose3.Logmap(gtsam.Pose3(np.linalg.inv(nearest) @ T_true))
+    nearest = target.nearest_equivalent(T_estimated, T_true)
+    covariance = inverse_covariance(inverse(nearest) @ T_estimated, covariance)
     # In the estimated target frame: the true vertex against the template's.
-    T_estimated_true = np.linalg.inv(nearest) @ T_true
-    offset = target.vertices @ T_estimated_true[:3, :3].T + T_estimated_true[:3, 3] - target.vertices
+    T_estimated_true = inverse(nearest) @ T_true
+    xi = log(T_estimated_true)
+    offset = apply(T_estimated_true, target.vertices) - target.vertices
     J = vertex_jacobian(target)
     return NormalisedError(
         xi=xi,
@@ -121,8 +107,4 @@ def normalised_error(target: Target, T_estimated: Floats, covariance: Floats, T_
 
 def vertex_jacobian(target: Target) -> Floats:
     """(n, 3, 6) derivative of the vertices, metres, target frame, by a right perturbation (omega, u): omega x v + u."""
-    return np.array([np.hstack([np.cross(np.eye(3), v).T, np.eye(3)]) for v in target.vertices])
-
-
-def _vertices(target: Target, T: Floats) -> Floats:
-    return np.asarray(target.vertices @ T[:3, :3].T + T[:3, 3])
+    return np.concatenate([-skew(target.vertices), np.broadcast_to(np.eye(3), (len(target), 3, 3))], axis=2)

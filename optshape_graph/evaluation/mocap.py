@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.mocap_comparison import MocapScan, ScanError, in_sample, leave_one_out
-from optshape_graph.calibration.mocap_session import LeftOut, load_mocap_scans
+from optshape_graph.calibration.mocap.comparison import MocapScan, ScanError, in_sample, leave_one_out
+from optshape_graph.calibration.mocap.session import LeftOut, load_mocap_scans
 from optshape_graph.errors import InputError
 from optshape_graph.evaluation.harness import Progress, Row
 from optshape_graph.evaluation.metrics import quantisation_error

@@ -10,6 +10,7 @@ from optshape_graph.calibration.images.projection import normalised, project
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.image_files import opencv
+from optshape_graph.se3 import apply
 from optshape_graph.target import Target
 
 SAMPLES = 2
@@ -35,7 +36,7 @@ def render_target(
         MissingExtraError: OpenCV is absent.
     """
     cv2, rng, T = opencv(), np.random.default_rng(rng), T_camera_target
-    if ((target.vertices @ T[:3, :3].T + T[:3, 3])[:, 2] <= 0).any():
+    if (apply(T, target.vertices)[:, 2] <= 0).any():
         raise InputError(f"target '{target.name}' is not ahead of camera '{camera.name}'")
     h, w = camera.height, camera.width
     corners = _vertex_pixels(target, camera, T)
@@ -72,7 +73,7 @@ def _rays(camera: CameraIntrinsics, u: Floats, v: Floats) -> Floats:
 
 
 def _vertex_pixels(target: Target, camera: CameraIntrinsics, T: Floats) -> Floats:
-    return project(camera, target.vertices @ T[:3, :3].T + T[:3, 3])
+    return project(camera, apply(T, target.vertices))
 
 
 def _pattern(target: Target, yz: Floats) -> Floats:

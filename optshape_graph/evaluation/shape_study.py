@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
 import optshape_graph
@@ -22,8 +21,8 @@ from optshape_graph.design.problem import Problem, orientations, random_paramete
 from optshape_graph.design.rings import UniformRings
 from optshape_graph.errors import EstimationError
 from optshape_graph.evaluation.harness import Progress, Row, run_tasks
-from optshape_graph.evaluation.metrics import nearest_equivalent
 from optshape_graph.pose import estimate_pose
+from optshape_graph.se3 import rotation, rotation_vector, transform
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation import NoiseModel, simulate_target
 from optshape_graph.target import Target
@@ -140,13 +139,8 @@ def random_placements(distances: Sequence[float], per_distance: int, seed: int) 
         for turn in range(per_distance):
             roll = 2 * np.pi * (turn + rng.uniform()) / per_distance
             axis, tilt = rng.uniform(0, 2 * np.pi), TILT * np.sqrt(rng.uniform())
-            T = np.eye(4)
-            T[:3, :3] = (
-                Rotation.from_rotvec(tilt * np.array([0.0, np.cos(axis), np.sin(axis)]))
-                * Rotation.from_rotvec([roll, 0.0, 0.0])
-            ).as_matrix()
-            T[:3, 3] = distance, rng.uniform(-0.5, 0.5), rng.uniform(-0.3, 0.3)
-            placements.append(T)
+            R = rotation(tilt * np.array([0.0, np.cos(axis), np.sin(axis)])) @ rotation([roll, 0.0, 0.0])
+            placements.append(transform(R, [distance, rng.uniform(-0.5, 0.5), rng.uniform(-0.3, 0.3)]))
     return np.array(placements)
 
 
@@ -203,8 +197,8 @@ def _trials(sensor: SensorModel, placements: Floats, seed: int, item: tuple[int,
         except EstimationError:
             error, status = None, "failed"
         else:
-            nearest = nearest_equivalent(target, estimate.T_lidar_target, T)
-            error = Rotation.from_matrix(T[:3, :3].T @ nearest[:3, :3]).as_rotvec().tolist()
+            nearest = target.nearest_equivalent(estimate.T_lidar_target, T)
+            error = rotation_vector(T[:3, :3].T @ nearest[:3, :3]).tolist()
             status = estimate.status
         rows.append(
             {

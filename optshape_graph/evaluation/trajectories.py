@@ -9,16 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import gtsam
 import numpy as np
 from scipy.stats import chi2
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.errors import InputError
-from optshape_graph.evaluation.metrics import nearest_equivalent
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping.map import Map
+from optshape_graph.se3 import angle, difference, inverse, inverse_covariance, transform
 from optshape_graph.target import Target
 
 
@@ -125,9 +123,7 @@ def align(estimated: Floats, true: Floats) -> Floats:
         covariance = np.einsum("nij,nkj->ik", true[:, :3, :3], estimated[:, :3, :3])
     U, _, Vt = np.linalg.svd(covariance)
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, b.mean(axis=0) - R @ a.mean(axis=0)
-    return T
+    return transform(R, b.mean(axis=0) - R @ a.mean(axis=0))
 
 
 def absolute_error(estimated: Floats, true: Floats, aligned: bool = True) -> AbsoluteError:
@@ -138,9 +134,9 @@ def absolute_error(estimated: Floats, true: Floats, aligned: bool = True) -> Abs
     """
     _check(estimated, true)
     T = align(estimated, true) if aligned else np.eye(4)
-    difference = inverse(true) @ (T @ estimated)
-    distances = np.linalg.norm(difference[:, :3, 3], axis=1)
-    return AbsoluteError(ErrorStatistics.of(distances), ErrorStatistics.of(_angles(difference)), T, distances)
+    apart = inverse(true) @ (T @ estimated)
+    distances = np.linalg.norm(apart[:, :3, 3], axis=1)
+    return AbsoluteError(ErrorStatistics.of(distances), ErrorStatistics.of(angle(apart)), T, distances)
 
 
 def relative_error(estimated: Floats, true: Floats, over: float) -> RelativeError:
@@ -165,7 +161,7 @@ def relative_error(estimated: Floats, true: Floats, over: float) -> RelativeErro
     end = end[start]
     motion = inverse(inverse(true[start]) @ true[end]) @ (inverse(estimated[start]) @ estimated[end])
     distances = np.linalg.norm(motion[:, :3, 3], axis=1)
-    return RelativeError(over, ErrorStatistics.of(distances), ErrorStatistics.of(_angles(motion)))
+    return RelativeError(over, ErrorStatistics.of(distances), ErrorStatistics.of(angle(motion)))
 
 
 @dataclass(frozen=True)
@@ -202,10 +198,9 @@ def landmark_errors(
             continue
         target, T_true = true[landmark.id]
         moved = T @ landmark.T_world_target
-        equivalent = nearest_equivalent(target, moved, T_true)
-        xi = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(equivalent) @ T_true))
-        turn = gtsam.Pose3(inverse(moved) @ equivalent).inverse().AdjointMap()
-        covariance = turn @ landmark.covariance @ turn.T
+        equivalent = target.nearest_equivalent(moved, T_true)
+        xi = difference(equivalent, T_true)
+        covariance = inverse_covariance(inverse(equivalent) @ moved, landmark.covariance)
         nees = float(xi @ np.linalg.solve(covariance, xi))
         apart = float(np.linalg.norm(moved[:3, 3] - T_true[:3, 3]))
         errors.append(LandmarkError(landmark.id, apart, float(np.linalg.norm(xi[:3])), nees))
@@ -235,7 +230,7 @@ def pose_nees(estimated: Floats, true: Floats, covariance: Floats) -> Floats:
         InputError: no poses, or another number of them than of true ones.
     """
     _check(estimated, true)
-    xi = np.array([gtsam.Pose3.Logmap(gtsam.Pose3(T)) for T in inverse(estimated) @ true])
+    xi = difference(estimated, true)
     return np.asarray(np.einsum("ni,ni->n", xi, np.linalg.solve(covariance, xi[..., None])[..., 0]))
 
 
@@ -261,10 +256,6 @@ def predicted_rmse(covariance: Floats) -> float:
 def _check(estimated: Floats, true: Floats) -> None:
     if estimated.shape != true.shape or estimated.ndim != 3 or not len(estimated):
         raise InputError(f"expected as many estimated as true poses, found {estimated.shape} and {true.shape}")
-
-
-def _angles(T: Floats) -> Floats:
-    return np.array([np.linalg.norm(gtsam.Rot3.Logmap(gtsam.Rot3(R))) for R in T[:, :3, :3]])
 
 
 def _nearest(values: Floats, wanted: Floats) -> Ints:

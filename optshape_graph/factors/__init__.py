@@ -37,9 +37,8 @@ from optshape_graph.factors.augmented import (
     plane_motion_rows,
     range_directions,
 )
-from optshape_graph.factors.measurement import TemplateMeasurement, edge_rows, plane_rows, template_rows
-from optshape_graph.factors.points import PointToEdgeFactor, PointToPlaneFactor
-from optshape_graph.factors.se3 import inverse_covariance
+from optshape_graph.factors.measurement import TemplateMeasurement, edge_rows, plane_rows, refine, template_rows
+from optshape_graph.se3 import inverse_covariance
 from optshape_graph.factors.shape import (
     FreeVertexFactor,
     ShapeFactor,
@@ -48,11 +47,25 @@ from optshape_graph.factors.shape import (
     VertexFactor,
     shape_rows,
 )
-from optshape_graph.factors.static import BiasedMeasurement, fuse_static, ring_bias_columns
+from optshape_graph.factors.static import (
+    EDGE_OFFSET,
+    RANGE_BIAS,
+    BiasedMeasurement,
+    SharedError,
+    fuse_static,
+    ring_bias_columns,
+)
 from optshape_graph.factors.summary import LandmarkFactor, Summary, SummaryFactor, summarise
-from optshape_graph.factors.template import TemplateCallbackFactor, TemplateFactor
+from optshape_graph.factors.template import (
+    PointToEdgeFactor,
+    PointToPlaneFactor,
+    TemplateCallbackFactor,
+    TemplateFactor,
+)
 
 __all__ = [
+    "EDGE_OFFSET",
+    "RANGE_BIAS",
     "AugmentedMeasurement",
     "BiasedMeasurement",
     "CheckedFactor",
@@ -63,6 +76,7 @@ __all__ = [
     "SensorParameterFactor",
     "ShapeFactor",
     "ShapeMeasurement",
+    "SharedError",
     "Summary",
     "SummaryFactor",
     "TemplateCallbackFactor",
@@ -78,6 +92,7 @@ __all__ = [
     "plane_motion_rows",
     "plane_rows",
     "range_directions",
+    "refine",
     "ring_bias_columns",
     "shape_rows",
     "summarise",

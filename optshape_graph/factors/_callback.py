@@ -9,7 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.se3 import adjoint, inverse
 
 Residual = Callable[[gtsam.Values], tuple[Floats, Sequence[Floats]]]
 """Values to a whitened residual (m,) and its Jacobians (m, d_i), one per key."""

@@ -1,10 +1,11 @@
-"""Stacked linear rows: the checks and the compression that every measurement shares."""
+"""Stacked linear rows: the checks and the compression that every measurement shares, and the noise of every factor."""
 
 from __future__ import annotations
 
 import math
 from functools import cache
 
+import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -16,7 +17,9 @@ def checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
     """Return `values` as floats, or raise an InputError; -1 in `shape` stands for any length."""
     array = np.asarray(values, dtype=float)
     found = array.shape
-    if found != shape and (len(found) != len(shape) or any(s not in (-1, a) for a, s in zip(found, shape, strict=True))):
+    if found != shape and (
+        len(found) != len(shape) or any(s not in (-1, a) for a, s in zip(found, shape, strict=True))
+    ):
         expected = " x ".join("N" if s == -1 else str(s) for s in shape)
         raise InputError(f"{name}: expected {expected}, found shape {found}")
     # A sum of squares is finite if all numbers are, unless it overflows.
@@ -61,3 +64,9 @@ def outer_rows(directions: Floats, normals: Floats) -> Floats:
 def in_plane(vectors: Floats) -> Floats:
     """Return (N, 2) vectors (y, z) of the template's plane as (N, 3)."""
     return np.column_stack([np.zeros(len(vectors)), vectors])
+
+
+def gaussian(S: Floats, loss: gtsam.noiseModel.mEstimator.Base | None = None) -> gtsam.noiseModel.Base:
+    """Return the noise of square root information S, which may be singular, with a robust loss if one is given."""
+    noise = gtsam.noiseModel.Gaussian.SqrtInformation(S, False)
+    return noise if loss is None else gtsam.noiseModel.Robust.Create(loss, noise)

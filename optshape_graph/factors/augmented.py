@@ -22,7 +22,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.factors._callback import CheckedFactor, relative_pose
 from optshape_graph.factors._rows import checked, in_plane, outer_rows, triangular
 from optshape_graph.factors.measurement import TemplateMeasurement
-from optshape_graph.factors.se3 import vec, vec_derivative
+from optshape_graph.se3 import PoseLike, as_matrix, as_transform, vec, vec_derivative
 
 
 def range_directions(points: ArrayLike) -> Floats:
@@ -82,11 +82,11 @@ class AugmentedMeasurement:
         if n < 13 or (n - 13) % 9:
             raise InputError(f"augmented measurement of {n} columns; expected 13 + 9 for each parameter")
         object.__setattr__(self, "stack", frozen(checked("augmented stack", self.stack, (n, n))))
-        object.__setattr__(self, "T_target_lidar", frozen(checked("T_target_lidar", self.T_target_lidar, (4, 4))))
+        object.__setattr__(self, "T_target_lidar", as_transform(self.T_target_lidar, "T_target_lidar"))
 
     @classmethod
     def from_rows(
-        cls, A: ArrayLike, motion: Sequence[ArrayLike], r: ArrayLike, T_target_lidar: ArrayLike
+        cls, A: ArrayLike, motion: Sequence[ArrayLike], r: ArrayLike, T_target_lidar: PoseLike
     ) -> AugmentedMeasurement:
         """Compress whitened rows A z + sum_j theta_j B_j vec R + r.
 
@@ -100,7 +100,7 @@ class AugmentedMeasurement:
         m = len(rows)
         blocks = [checked("motion rows", B, (m, 9)) for B in motion]
         stack = np.column_stack([rows, *blocks, checked("constants", r, (m,))])
-        return cls(triangular(stack), m, np.asarray(T_target_lidar, float))
+        return cls(triangular(stack), m, as_matrix(T_target_lidar))
 
     @property
     def n_parameters(self) -> int:
@@ -116,21 +116,21 @@ class AugmentedMeasurement:
         stack = triangular(np.vstack([self.stack, other.stack]))
         return AugmentedMeasurement(stack, self.n_rows + other.n_rows, self.T_target_lidar)
 
-    def residual(self, T_target_lidar: ArrayLike, theta: ArrayLike) -> Floats:
+    def residual(self, T_target_lidar: PoseLike, theta: ArrayLike) -> Floats:
         """Return the residual (13 + 9 k,) at a pose (4, 4) and parameters (k,)."""
-        z, parameters = vec(np.asarray(T_target_lidar, float)), checked("theta", theta, (self.n_parameters,))
+        z, parameters = vec(as_matrix(T_target_lidar)), checked("theta", theta, (self.n_parameters,))
         return np.asarray(self.stack @ np.concatenate([z, np.outer(parameters, z[:9]).ravel(), [1.0]]))
 
-    def jacobians(self, T_target_lidar: ArrayLike, theta: ArrayLike) -> tuple[Floats, Floats]:
+    def jacobians(self, T_target_lidar: PoseLike, theta: ArrayLike) -> tuple[Floats, Floats]:
         """Return the residual's derivatives by a right perturbation of the pose (., 6) and by theta (., k)."""
-        H = np.asarray(T_target_lidar, float)
+        H = as_matrix(T_target_lidar)
         parameters = checked("theta", theta, (self.n_parameters,))
         motion = self.stack[:, 12:-1].reshape(len(self.stack), self.n_parameters, 9)
         D = vec_derivative(H)
         by_pose = self.stack[:, :12] @ D + np.einsum("nkj,k->nj", motion, parameters) @ D[:9]
         return by_pose, motion @ vec(H)[:9]
 
-    def error(self, T_target_lidar: ArrayLike, theta: ArrayLike) -> float:
+    def error(self, T_target_lidar: PoseLike, theta: ArrayLike) -> float:
         """Return half the sum of the squared whitened rows, at a pose (4, 4) and parameters (k,)."""
         return 0.5 * float(np.square(self.residual(T_target_lidar, theta)).sum())
 

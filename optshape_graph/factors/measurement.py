@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, in_plane, outer_rows, triangular
-from optshape_graph.factors.se3 import inverse, vec, vec_derivative
+from optshape_graph.se3 import PoseLike, as_matrix, as_transform, exp, inverse, vec, vec_derivative
 
 
 def edge_rows(points: ArrayLike, normals: ArrayLike, offsets: ArrayLike) -> tuple[Floats, Floats]:
@@ -113,13 +113,14 @@ class TemplateMeasurement:
     T_target_lidar: Floats
 
     def __post_init__(self) -> None:
-        for field, shape in (("L", (12, 12)), ("b", (12,)), ("T_target_lidar", (4, 4))):
+        for field, shape in (("L", (12, 12)), ("b", (12,))):
             object.__setattr__(self, field, frozen(checked(field, getattr(self, field), shape)))
+        object.__setattr__(self, "T_target_lidar", as_transform(self.T_target_lidar, "T_target_lidar"))
         if not np.isfinite(self.c):
             raise InputError(f"measurement c is {self.c}; expected a finite number")
 
     @classmethod
-    def from_rows(cls, A: ArrayLike, r: ArrayLike, T_target_lidar: ArrayLike) -> TemplateMeasurement:
+    def from_rows(cls, A: ArrayLike, r: ArrayLike, T_target_lidar: PoseLike) -> TemplateMeasurement:
         """Compress whitened rows A z + r.
 
         Args:
@@ -142,7 +143,7 @@ class TemplateMeasurement:
         offsets: ArrayLike,
         sigma: float,
         plane_sigma: float,
-        T_target_lidar: ArrayLike,
+        T_target_lidar: PoseLike,
     ) -> TemplateMeasurement:
         """Compress edge points of one accuracy, each on its edge and on the target's plane.
 
@@ -168,10 +169,10 @@ class TemplateMeasurement:
         return cls.from_stack(stack, len(stack), T_target_lidar)
 
     @classmethod
-    def from_stack(cls, stack: Floats, n_rows: int, T_target_lidar: ArrayLike) -> TemplateMeasurement:
+    def from_stack(cls, stack: Floats, n_rows: int, T_target_lidar: PoseLike) -> TemplateMeasurement:
         """Compress rows (m, 13), linear in [z; 1], that stand for `n_rows` residuals."""
         R = triangular(stack)
-        return cls(R[:12, :12], R[:12, 12], abs(float(R[12, 12])), n_rows, np.asarray(T_target_lidar, float))
+        return cls(R[:12, :12], R[:12, 12], abs(float(R[12, 12])), n_rows, as_matrix(T_target_lidar))
 
     @property
     def stack(self) -> Floats:
@@ -184,11 +185,11 @@ class TemplateMeasurement:
             return NotImplemented
         return self.from_stack(np.vstack([self.stack, other.stack]), self.n_rows + other.n_rows, self.T_target_lidar)
 
-    def at(self, T_target_lidar: ArrayLike) -> TemplateMeasurement:
+    def at(self, T_target_lidar: PoseLike) -> TemplateMeasurement:
         """Return the same measurement, taken at another pose (4, 4)."""
-        return replace(self, T_target_lidar=np.asarray(T_target_lidar, float))
+        return replace(self, T_target_lidar=as_matrix(T_target_lidar))
 
-    def substituted(self, T_target_a: ArrayLike, T_b_lidar: ArrayLike | None = None) -> TemplateMeasurement:
+    def substituted(self, T_target_a: PoseLike, T_b_lidar: PoseLike | None = None) -> TemplateMeasurement:
         """Return the measurement as one of T_a_b, where T_target_lidar = T_target_a T_a_b T_b_lidar.
 
         The entries of T_target_lidar are linear in those of T_a_b, so this is exact too.
@@ -197,29 +198,29 @@ class TemplateMeasurement:
             T_target_a: (4, 4) known transform on the left.
             T_b_lidar: (4, 4) known transform on the right; None: the identity.
         """
-        A = np.asarray(T_target_a, float)
-        B = np.eye(4) if T_b_lidar is None else np.asarray(T_b_lidar, float)
+        A = as_matrix(T_target_a)
+        B = np.eye(4) if T_b_lidar is None else as_matrix(T_b_lidar)
         M = substitution(A, B)
         return self.from_stack(self.stack @ M, self.n_rows, inverse(A) @ self.T_target_lidar @ inverse(B))
 
-    def residual(self, T_target_lidar: ArrayLike) -> Floats:
+    def residual(self, T_target_lidar: PoseLike) -> Floats:
         """Return L z + b (12,) at a pose (4, 4)."""
-        return self.L @ vec(np.asarray(T_target_lidar, float)) + self.b
+        return self.L @ vec(as_matrix(T_target_lidar)) + self.b
 
-    def jacobian(self, T_target_lidar: ArrayLike) -> Floats:
+    def jacobian(self, T_target_lidar: PoseLike) -> Floats:
         """Return the derivative (12, 6) of the residual by a right perturbation of T_target_lidar, rotation first."""
-        return self.L @ vec_derivative(np.asarray(T_target_lidar, float))
+        return self.L @ vec_derivative(as_matrix(T_target_lidar))
 
-    def error(self, T_target_lidar: ArrayLike) -> float:
+    def error(self, T_target_lidar: PoseLike) -> float:
         """Return 1/2 ||L z + b||^2 + 1/2 c^2 at a pose (4, 4): half the sum of the squared whitened rows."""
         residual = self.residual(T_target_lidar)
         return 0.5 * float(residual @ residual) + 0.5 * self.c**2
 
-    def gradient(self, T_target_lidar: ArrayLike) -> Floats:
+    def gradient(self, T_target_lidar: PoseLike) -> Floats:
         """Return the gradient (6,) of the error by a right perturbation of T_target_lidar, rotation first."""
         return self.jacobian(T_target_lidar).T @ self.residual(T_target_lidar)
 
-    def information(self, T_target_lidar: ArrayLike | None = None) -> Floats:
+    def information(self, T_target_lidar: PoseLike | None = None) -> Floats:
         """Return the Gauss-Newton information (6, 6) of a right perturbation of T_target_lidar, rotation first.
 
         Args:
@@ -233,10 +234,33 @@ class TemplateMeasurement:
         return self.stack.T @ self.stack
 
 
-def substitution(T_target_a: ArrayLike, T_b_lidar: ArrayLike | None = None) -> Floats:
+def refine(measurement: TemplateMeasurement, iterations: int = 20) -> Floats:
+    """Return the T_target_lidar (4, 4) nearest to where a measurement was taken that minimises its error.
+
+    Gauss-Newton steps on the compressed rows, with Levenberg's damping where they do not lead down.
+    """
+    T, damping = measurement.T_target_lidar, 1e-12
+    error = measurement.error(T)
+    for _ in range(iterations):
+        J = measurement.jacobian(T)
+        information = J.T @ J
+        damped = information + damping * np.trace(information) * np.eye(6)
+        step = -np.linalg.solve(damped, J.T @ measurement.residual(T))
+        candidate = T @ exp(step)
+        new = measurement.error(candidate)
+        if new <= error:
+            T, error, damping = candidate, new, max(damping / 10, 1e-12)
+        else:
+            damping = max(10 * damping, 1e-8)
+        if np.abs(step).max() < 1e-9 or damping > 1.0:
+            break
+    return np.asarray(T)
+
+
+def substitution(T_target_a: PoseLike, T_b_lidar: PoseLike | None = None) -> Floats:
     """Return the matrix (13, 13) that takes [z; 1] of T_a_b to that of T_target_lidar = T_target_a T_a_b T_b_lidar."""
-    A = np.asarray(T_target_a, float)
-    B = np.eye(4) if T_b_lidar is None else np.asarray(T_b_lidar, float)
+    A = as_matrix(T_target_a)
+    B = np.eye(4) if T_b_lidar is None else as_matrix(T_b_lidar)
     # Columns of the upper 3 x 4 of A T B: R_A [R t] B + t_A e_4^T.
     M = np.eye(13)
     M[:12, :12] = np.kron(B.T, A[:3, :3])

@@ -23,7 +23,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.factors._callback import CheckedFactor, relative_pose
 from optshape_graph.factors._rows import checked, triangular
 from optshape_graph.factors.measurement import TemplateMeasurement
-from optshape_graph.factors.se3 import skew
+from optshape_graph.se3 import PoseLike, as_matrix, as_transform, skew
 
 RIGID_SIGMA_M = 1e-4
 """How rigidly a vertex is tied to its target, metres: far below what any LiDAR resolves, far above rounding."""
@@ -71,35 +71,35 @@ class ShapeMeasurement:
         if size % 4 or size < 16:
             raise InputError(f"shape measurement of {size} columns; expected 4 (n + 1) with n >= 3 edges")
         object.__setattr__(self, "U", frozen(checked("U", self.U, (size, size))))
-        object.__setattr__(self, "T_target_lidar", frozen(checked("T_target_lidar", self.T_target_lidar, (4, 4))))
+        object.__setattr__(self, "T_target_lidar", as_transform(self.T_target_lidar, "T_target_lidar"))
 
     @classmethod
-    def from_rows(cls, rows: ArrayLike, T_target_lidar: ArrayLike) -> ShapeMeasurement:
+    def from_rows(cls, rows: ArrayLike, T_target_lidar: PoseLike) -> ShapeMeasurement:
         """Compress whitened rows (m, 4 n + 4), taken at a pose (4, 4).
 
         They are those of `shape_rows`, times any whitening matrix on the left.
         """
         stack = np.asarray(rows, float)
         checked("shape rows", stack, (-1, stack.shape[-1]))
-        return cls(triangular(stack), len(stack), np.asarray(T_target_lidar, float))
+        return cls(triangular(stack), len(stack), as_matrix(T_target_lidar))
 
     @property
     def n_edges(self) -> int:
         """Number of edges n, and of vertices."""
         return len(self.U) // 4 - 1
 
-    def residual(self, T_target_lidar: ArrayLike, vertices: ArrayLike) -> Floats:
+    def residual(self, T_target_lidar: PoseLike, vertices: ArrayLike) -> Floats:
         """Return U g (4 n + 4,) at a pose (4, 4) and vertices (n, 3), metres, target frame."""
         planes, _ = _planes(checked("vertices", vertices, (self.n_edges, 3)))
-        return np.asarray(self.U @ (planes @ np.asarray(T_target_lidar, float)).ravel())
+        return np.asarray(self.U @ (planes @ as_matrix(T_target_lidar)).ravel())
 
-    def jacobians(self, T_target_lidar: ArrayLike, vertices: ArrayLike) -> tuple[Floats, Floats]:
+    def jacobians(self, T_target_lidar: PoseLike, vertices: ArrayLike) -> tuple[Floats, Floats]:
         """Return the derivatives of U g at a pose (4, 4) and vertices (n, 3), metres, target frame.
 
         Returns:
             By a right perturbation of the pose (., 6), rotation first; and by each vertex (n, ., 3), 1/m.
         """
-        H, n = np.asarray(T_target_lidar, float), self.n_edges
+        H, n = as_matrix(T_target_lidar), self.n_edges
         planes, derivative = _planes(checked("vertices", vertices, (n, 3)))
         g = planes @ H
         by_pose = np.zeros((n + 1, 4, 6))
@@ -108,8 +108,8 @@ class ShapeMeasurement:
         by_vertex = np.einsum("kvcj,ci->vkij", derivative, H).reshape(n, 4 * (n + 1), 3)
         return self.U @ by_pose.reshape(-1, 6), self.U @ by_vertex
 
-    def error(self, T_target_lidar: ArrayLike, vertices: ArrayLike) -> float:
-        """Return half the sum of the squared whitened rows at a pose (4, 4) and vertices (n, 3), metres, target frame."""
+    def error(self, T_target_lidar: PoseLike, vertices: ArrayLike) -> float:
+        """Return half the sum of the squared whitened rows at a pose (4, 4) and vertices (n, 3), target frame."""
         return 0.5 * float(np.square(self.residual(T_target_lidar, vertices)).sum())
 
     def of_template(self, vertices: ArrayLike) -> TemplateMeasurement:

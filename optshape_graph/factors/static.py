@@ -15,7 +15,7 @@ been made with biases of its own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
@@ -27,7 +27,7 @@ from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, triangular
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import inverse
 
 
 def ring_bias_columns(
@@ -56,32 +56,67 @@ def ring_bias_columns(
     return B
 
 
+RANGE_BIAS, EDGE_OFFSET = "range bias", "edge offset"
+"""Kinds of errors that the pose estimator knows: of ranges, and of how far in the returns at all edges lie."""
+
+
+@dataclass(frozen=True)
+class SharedError:
+    """An error that several scans of one sensor have in common.
+
+    Two are the same error exactly where they are equal.
+
+    Attributes:
+        kind: what it is, such as `RANGE_BIAS`.
+        ring: the ring it belongs to, or None.
+        band: the elevations, rad, lowest and highest, of the returns it belongs to, or None. With neither ring nor
+            band, it belongs to all returns of a scan.
+    """
+
+    kind: str
+    ring: int | None = None
+    band: tuple[float, float] | None = None
+
+    def __str__(self) -> str:
+        if self.ring is not None:
+            return f"{self.kind} of ring {self.ring}"
+        if self.band is not None:
+            low, high = np.degrees(self.band)
+            return f"{self.kind} between {low:.3f} and {high:.3f} deg"
+        return self.kind
+
+
 @dataclass(frozen=True, eq=False)
 class BiasedMeasurement:
     """The cost 1/2 ||S [beta; z; 1]||^2 of a target, beta being the errors that every scan of the scene shares.
 
-    Scans of one static scene by one sensor add up (`+`) before `marginal` removes beta: an error of the same name is
-    the same error, so scans need not have hit the target with the same rings.
+    Scans of one static scene by one sensor add up (`+`) before `marginal` removes beta: equal errors are the same
+    error, so scans need not have hit the target with the same rings.
 
     Attributes:
         stack: (n, n) S, whitened, upper triangular, n = k + 13.
         n_rows: number of scalar residuals it was made of.
         T_target_lidar: (4, 4) pose at which the columns of beta were linearised.
-        shared: (k,) names of the shared errors, in the order of their columns, such as "ring 7".
+        shared: (k,) the shared errors, in the order of their columns.
 
     Raises:
-        InputError: shapes that do not fit, values that are not finite, or a name twice.
+        InputError: shapes that do not fit, values that are not finite, an error twice, or one that is no `SharedError`.
     """
 
     stack: Floats
     n_rows: int
     T_target_lidar: Floats
-    shared: tuple[str, ...]
+    shared: tuple[SharedError, ...]
 
     def __post_init__(self) -> None:
         n = len(self.stack)
+        for error in self.shared:
+            if not isinstance(error, SharedError):
+                raise InputError(f"shared error {error!r}; expected a SharedError")
         if n < 13 or n != 13 + len(set(self.shared)):
-            raise InputError(f"biased measurement of {n} columns; expected 13, and one for each of {self.shared}")
+            raise InputError(
+                f"biased measurement of {n} columns; expected 13, and one for each of: {_words(self.shared)}"
+            )
         object.__setattr__(self, "stack", frozen(checked("biased stack", self.stack, (n, n))))
         object.__setattr__(self, "T_target_lidar", frozen(checked("T_target_lidar", self.T_target_lidar, (4, 4))))
 
@@ -92,7 +127,7 @@ class BiasedMeasurement:
         B: ArrayLike,
         r: ArrayLike,
         T_target_lidar: ArrayLike,
-        shared: Sequence[str] | None = None,
+        shared: Sequence[SharedError] | None = None,
     ) -> BiasedMeasurement:
         """Compress rows A z + B beta + r, whitened by what does *not* persist from scan to scan.
 
@@ -101,45 +136,56 @@ class BiasedMeasurement:
             B: (m, k) columns of the shared errors, such as `ring_bias_columns`, whitened as A is.
             r: (m,) constants, whitened as A is.
             T_target_lidar: (4, 4) pose of linearisation.
-            shared: (k,) names of the shared errors; None: "ring 0", "ring 1", ..., a column for every ring.
+            shared: (k,) the shared errors; None: the range bias of ring 0, of ring 1, ..., a column for every ring.
 
         Raises:
-            InputError: shapes that do not fit, values that are not finite, or a name twice.
+            InputError: shapes that do not fit, values that are not finite, or an error twice.
         """
         rows = checked("rows", A, (-1, 12))
         columns = checked("bias columns", B, (len(rows), -1))
         stack = np.column_stack([columns, rows, checked("constants", r, (len(rows),))])
-        names = tuple(f"ring {i}" for i in range(columns.shape[1])) if shared is None else tuple(shared)
-        return cls(triangular(stack), len(rows), np.asarray(T_target_lidar, float), names)
+        errors = [SharedError(RANGE_BIAS, ring=i) for i in range(columns.shape[1])] if shared is None else shared
+        return cls(triangular(stack), len(rows), np.asarray(T_target_lidar, float), tuple(errors))
 
     def __add__(self, other: BiasedMeasurement) -> BiasedMeasurement:
-        """Return the measurement of both scans: the same beta, everything else independent."""
+        """Return the measurement of both scans: the same beta, everything else independent.
+
+        Raises:
+            InputError: errors of one kind that belong to other things in either: bands of elevation that are not the
+                same overlap, and rings with bands, so they are neither the same errors nor independent ones.
+        """
         if not isinstance(other, BiasedMeasurement):
             return NotImplemented
-        names = tuple(dict.fromkeys(self.shared + other.shared))
-        stack = triangular(np.vstack([self._columns_for(names), other._columns_for(names)]))
-        return BiasedMeasurement(stack, self.n_rows + other.n_rows, self.T_target_lidar, names)
+        for kind in {error.kind for error in self.shared} & {error.kind for error in other.shared}:
+            mine, theirs = ({error for error in one.shared if error.kind == kind} for one in (self, other))
+            if mine != theirs and any(error.ring is None for error in mine | theirs):
+                raise InputError(
+                    f"measurements whose shared errors mean different things do not add: {_words(mine - theirs)}; "
+                    f"against {_words(theirs - mine)}: marginalise them in each scan first, with `without`"
+                )
+        errors = tuple(dict.fromkeys(self.shared + other.shared))
+        stack = triangular(np.vstack([self._columns_for(errors), other._columns_for(errors)]))
+        return BiasedMeasurement(stack, self.n_rows + other.n_rows, self.T_target_lidar, errors)
 
-    def _columns_for(self, names: tuple[str, ...]) -> Floats:
-        k = len(self.shared)
-        stack = np.zeros((len(self.stack), len(names) + 13))
-        stack[:, [names.index(name) for name in self.shared]] = self.stack[:, :k]
-        stack[:, len(names) :] = self.stack[:, k:]
+    def _columns_for(self, errors: tuple[SharedError, ...]) -> Floats:
+        k, place = len(self.shared), {error: column for column, error in enumerate(errors)}
+        stack = np.zeros((len(self.stack), len(errors) + 13))
+        stack[:, [place[error] for error in self.shared]] = self.stack[:, :k]
+        stack[:, len(errors) :] = self.stack[:, k:]
         return stack
 
-    def without(self, names: Sequence[str]) -> BiasedMeasurement:
+    def without(self, errors: Collection[SharedError]) -> BiasedMeasurement:
         """Return the measurement with some errors marginalised, each in units of its standard deviation.
 
         Args:
-            names: of errors that scans do not share after all; those that are not in it do not matter.
+            errors: that scans do not share after all; those that are not in it do not matter.
         """
-        gone = [i for i, name in enumerate(self.shared) if name in names]
-        kept = [i for i, name in enumerate(self.shared) if name not in names]
+        gone = [i for i, error in enumerate(self.shared) if error in errors]
+        kept = [i for i, error in enumerate(self.shared) if error not in errors]
         g, k = len(gone), len(self.shared)
         ordered = self.stack[:, [*gone, *kept, *range(k, k + 13)]]
         R = triangular(np.vstack([np.eye(g, k + 13), ordered]))
-        left = tuple(self.shared[i] for i in kept)
-        return BiasedMeasurement(R[g:, g:], self.n_rows, self.T_target_lidar, left)
+        return BiasedMeasurement(R[g:, g:], self.n_rows, self.T_target_lidar, tuple(self.shared[i] for i in kept))
 
     def substituted(self, T_target_a: ArrayLike, T_b_lidar: ArrayLike | None = None) -> BiasedMeasurement:
         """Return the measurement as one of T_a_b; see `TemplateMeasurement.substituted`."""
@@ -176,13 +222,19 @@ def fuse_static(measurements: Sequence[BiasedMeasurement], sigma: ArrayLike) -> 
     However many scans there are, the result is no more certain than the shared errors allow.
 
     Args:
-        measurements: one for each scan, their shared errors named and linearised at one pose.
-        sigma: standard deviation of the shared errors, one for all or (k,) in the order they are first named, in
+        measurements: one for each scan, linearised at one pose.
+        sigma: standard deviation of the shared errors, one for all or (k,) in the order in which they first occur, in
             their units.
 
     Raises:
-        InputError: no measurement, or standard deviations that are none.
+        InputError: no measurement, shared errors that mean different things, or standard deviations that are none.
     """
     if not measurements:
         raise InputError("no measurement to fuse")
     return reduce(add, measurements).marginal(sigma)
+
+
+def _words(errors: Collection[SharedError]) -> str:
+    """Name the first few."""
+    names = [str(error) for error in errors]
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats
-from optshape_graph.factors._noise import gaussian
-from optshape_graph.factors._rows import factored
+from optshape_graph.factors._rows import factored, gaussian
 from optshape_graph.factors.measurement import TemplateMeasurement
-from optshape_graph.factors.se3 import adjoint, inverse, vec, vec_derivative
+from optshape_graph.se3 import PoseLike, adjoint, as_matrix, inverse, vec, vec_derivative
 
 RANK_TOLERANCE = 1e-9
 """Ratio of a diagonal entry of R to the largest, below which that direction counts as not measured."""
@@ -59,7 +58,7 @@ class Summary:
         )
 
     def landmark_factor(
-        self, k_target: int, T_world_lidar: ArrayLike, loss: gtsam.noiseModel.mEstimator.Base | None = None
+        self, k_target: int, T_world_lidar: PoseLike, loss: gtsam.noiseModel.mEstimator.Base | None = None
     ) -> gtsam.PriorFactorPose3:
         """Return the factor on T_world_target, the LiDAR pose being known; see `LandmarkFactor`.
 
@@ -67,7 +66,7 @@ class Summary:
         square root information is S Ad(H_hat^-1).
         """
         T_lidar_target = inverse(self.T_target_lidar)
-        measured = gtsam.Pose3(np.asarray(T_world_lidar, float) @ T_lidar_target)
+        measured = gtsam.Pose3(as_matrix(T_world_lidar) @ T_lidar_target)
         return gtsam.PriorFactorPose3(
             k_target, measured, gaussian(self.sqrt_information @ adjoint(T_lidar_target), loss)
         )
@@ -143,7 +142,7 @@ def SummaryFactor(
     measurement: TemplateMeasurement,
     k_target: int,
     k_lidar: int,
-    T_target_lidar: ArrayLike | None = None,
+    T_target_lidar: PoseLike | None = None,
     loss: gtsam.noiseModel.mEstimator.Base | None = None,
 ) -> gtsam.BetweenFactorPose3:
     """Return the compiled, serialisable factor between T_world_target and T_world_lidar.
@@ -161,8 +160,8 @@ def SummaryFactor(
 def LandmarkFactor(
     measurement: TemplateMeasurement,
     k_target: int,
-    T_world_lidar: ArrayLike,
-    T_target_lidar: ArrayLike | None = None,
+    T_world_lidar: PoseLike,
+    T_target_lidar: PoseLike | None = None,
     loss: gtsam.noiseModel.mEstimator.Base | None = None,
 ) -> gtsam.PriorFactorPose3:
     """Return the compiled, serialisable factor on T_world_target alone, the LiDAR pose being known.
@@ -177,8 +176,8 @@ def LandmarkFactor(
     return _summary(measurement, T_target_lidar).landmark_factor(k_target, T_world_lidar, loss)
 
 
-def _summary(measurement: TemplateMeasurement, T_target_lidar: ArrayLike | None) -> Summary:
-    at = None if T_target_lidar is None else np.asarray(T_target_lidar, float)[None]
+def _summary(measurement: TemplateMeasurement, T_target_lidar: PoseLike | None) -> Summary:
+    at = None if T_target_lidar is None else as_matrix(T_target_lidar)[None]
     return summarise([measurement], at)[0]
 
 

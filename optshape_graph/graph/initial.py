@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.graph.observation import Observation
+from optshape_graph.se3 import inverse
 
 Poses = dict[str, Floats]
 

@@ -10,7 +10,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors import TemplateMeasurement
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
 

@@ -14,10 +14,10 @@ from gtsam.symbol_shorthand import L, X
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
 from optshape_graph.factors import TemplateFactor, summarise
-from optshape_graph.factors.se3 import inverse, vec
 from optshape_graph.graph.initial import initialise
 from optshape_graph.graph.observation import Observation
 from optshape_graph.graph.solution import Residual
+from optshape_graph.se3 import PoseLike, as_transform, inverse, vec
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,10 +101,10 @@ class TargetGraph:
 
 def build(
     observations: Sequence[Observation],
-    known_lidars: Mapping[str, Floats] | None = None,
-    known_targets: Mapping[str, Floats] | None = None,
-    predicted_lidars: Mapping[str, Floats] | None = None,
-    predicted_targets: Mapping[str, Floats] | None = None,
+    known_lidars: Mapping[str, PoseLike] | None = None,
+    known_targets: Mapping[str, PoseLike] | None = None,
+    predicted_lidars: Mapping[str, PoseLike] | None = None,
+    predicted_targets: Mapping[str, PoseLike] | None = None,
 ) -> TargetGraph:
     """Build a graph and place its variables, from what is known and the measurements' own poses.
 
@@ -146,13 +146,5 @@ def build(
     )
 
 
-def _poses(kind: str, poses: Mapping[str, Floats] | None) -> dict[str, Floats]:
-    checked = {}
-    for name, T in (poses or {}).items():
-        pose = np.asarray(T, float)
-        rigid = pose.shape == (4, 4) and np.allclose(pose[3], [0, 0, 0, 1])
-        rigid = rigid and np.allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-6)
-        if not (rigid and np.linalg.det(pose[:3, :3]) > 0 and np.isfinite(pose).all()):
-            raise InputError(f"the pose of {kind} '{name}' is not a rigid 4 x 4 transform: {pose.tolist()}")
-        checked[name] = pose
-    return checked
+def _poses(kind: str, poses: Mapping[str, PoseLike] | None) -> dict[str, Floats]:
+    return {name: as_transform(T, f"the pose of {kind} '{name}'") for name, T in (poses or {}).items()}

@@ -10,8 +10,8 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError, UnobservableError
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.graph.linear import LinearSystem
+from optshape_graph.se3 import adjoint, inverse
 
 MOVES = 1e-3
 """Part of a direction's largest component from which on a variable counts as moving with it."""

@@ -2,8 +2,7 @@
 
 from optshape_graph.io.builtin import demo_folder
 from optshape_graph.io.cameras import load_camera, save_camera
-from optshape_graph.io.clouds import make_scan, read_scan, write_scan
-from optshape_graph.io.columns import Columns
+from optshape_graph.io.clouds import Columns, make_scan, read_scan, write_scan
 from optshape_graph.io.markers import Markers, read_markers
 from optshape_graph.io.schemas import load_schema, schema_names
 from optshape_graph.io.sensors import load_sensor, save_sensor

@@ -1,8 +1,8 @@
-"""Program that reads a C3D, MAT or mesh file and writes what it has as arrays: `python -m ... FORMAT FILE FILE.npz`.
+"""Program that reads a file by native code and writes what it has as arrays: `python -m ... FORMAT FILE FILE.npz`.
 
-It is a process of its own because the readers, ezc3d, scipy.io and Open3D, are native code that damaged files crash or
-hang: 6 of 60 damaged copies of a small C3D file (ezc3d 1.7.2), some of thousands of a MAT file (scipy 1.17.1). That
-must cost an error message, not the caller's process.
+It is a process of its own because the readers (ezc3d for C3D, scipy.io for MAT, Open3D for meshes, lazrs for LAZ,
+libE57 for E57) are native code that damaged files crash or hang: 6 of 60 damaged copies of a small C3D file (ezc3d
+1.7.2), some of thousands of a MAT file (scipy 1.17.1). That must cost an error message, not the caller's process.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ BYTES = 8 << 30
 ABSENT = 3
 """Exit status where the library cannot be imported."""
 
-_LIBRARIES = {"c3d": ("ezc3d", "mocap"), "mat": ("scipy", "mocap"), "mesh": ("open3d", "mesh")}
+_LIBRARIES = {
+    "c3d": ("ezc3d", "mocap"), "mat": ("scipy", "mocap"), "mesh": ("open3d", "mesh"), "las": ("laspy[lazrs]", "las"),
+    "e57": ("pye57", "e57"),
+}  # fmt: skip
 """What reads a form, and the extra that brings it."""
 
 Arrays = dict[str, NDArray[Any]]
@@ -40,12 +43,13 @@ def read_isolated(form: str, path: Path) -> Arrays:
     """Return what a file has, as it has it.
 
     Args:
-        form: "c3d", or "mat" as Qualisys Track Manager exports it; or "mesh", of any format that Open3D reads.
+        form: "c3d", or "mat" as Qualisys Track Manager exports it; "mesh", of any format that Open3D reads; "las",
+            compressed or not; or "e57" of one scan.
         path: the file.
 
     Returns:
         Of markers, `positions` (F, M, 3) with NaN for gaps, `labels`, `rate` and `unit`; of a mesh, `vertices` (V, 3)
-        and `triangles` (T, 3).
+        and `triangles` (T, 3); of a cloud, the columns that it has.
 
     Raises:
         InputError: not readable.
@@ -121,11 +125,48 @@ def _read_mesh(path: str) -> Arrays:
     return {"vertices": np.asarray(mesh.vertices), "triangles": np.asarray(mesh.triangles)}
 
 
+def _read_las(path: str) -> Arrays:
+    import laspy
+
+    with laspy.open(path) as stream:
+        cloud = stream.read()
+    arrays = {axis: np.asarray(cloud[axis], dtype=float) for axis in "xyz"}
+    for name in cloud.point_format.dimension_names:
+        if name.lower() not in ("x", "y", "z"):
+            values = np.asarray(cloud[name])
+            if values.shape == arrays["x"].shape and values.any():  # of a dimension that nobody filled, nothing is said
+                arrays[name] = values
+    return arrays
+
+
+def _read_e57(path: str) -> Arrays:
+    import pye57
+
+    with pye57.E57(path) as stream:
+        if stream.scan_count != 1:
+            raise ValueError(f"{stream.scan_count} scans in it; expected one")
+        found = stream.read_scan_raw(0)
+    arrays = {key.removeprefix("cartesian").lower(): np.asarray(values) for key, values in found.items()}
+    if not {"x", "y", "z"} <= arrays.keys() and "sphericalRange" in found:
+        r, azimuth, elevation = (np.asarray(found[f"spherical{part}"]) for part in ("Range", "Azimuth", "Elevation"))
+        arrays |= {
+            "x": r * np.cos(elevation) * np.cos(azimuth), "y": r * np.cos(elevation) * np.sin(azimuth),
+            "z": r * np.sin(elevation),
+        }  # fmt: skip
+    invalid = arrays.pop("invalidstate", None)
+    if invalid is not None:
+        for axis in "xyz":
+            arrays[axis] = np.where(invalid != 0, np.nan, arrays[axis])
+    return {{"rowindex": "row_index", "columnindex": "column_index"}.get(key, key): arrays[key] for key in arrays}
+
+
 def main(form: str, path: str, arrays: str) -> int:
     """Read `path`, write `arrays`; return the exit status."""
     resource.setrlimit(resource.RLIMIT_AS, (BYTES, BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    readers: dict[str, Callable[[str], Arrays]] = {"c3d": _read_c3d, "mat": _read_mat, "mesh": _read_mesh}
+    readers: dict[str, Callable[[str], Arrays]] = {
+        "c3d": _read_c3d, "mat": _read_mat, "mesh": _read_mesh, "las": _read_las, "e57": _read_e57,
+    }  # fmt: skip
     try:
         content = readers[form](path)
     except ImportError as error:

@@ -6,28 +6,30 @@ documents beyond a size or depth, are refused.
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.io.files import inside, is_file, read_text, write_atomically
-from optshape_graph.io.yaml_core import Key, dump_yaml, parse_yaml
+from optshape_graph.io.files import read_text, write_atomically
+from optshape_graph.io.nodes import Node
+from optshape_graph.io.schemas import load_schema
+from optshape_graph.io.validation import check
+from optshape_graph.io.yaml_core import dump_yaml, parse_yaml
 
 __all__ = [
     "Node",
-    "check_schema",
+    "check_document",
     "read_document",
     "read_json",
+    "read_plain",
     "read_yaml",
     "write_atomically",
     "write_json",
@@ -38,154 +40,8 @@ LARGEST_YAML = 16 << 20
 LARGEST_JSON = 512 << 20
 
 
-@dataclass(frozen=True)
-class Node:
-    """One value of a document, and where it stands.
-
-    Attributes:
-        value: plain data.
-        path: the file.
-        key: keys and indices from the document's root to this value.
-        lines: the line of each key, counted from 1; empty for JSON.
-        anywhere: whether the files that it names may be outside of its folder (see `place`).
-    """
-
-    value: Any
-    path: Path
-    key: Key = ()
-    lines: Mapping[Key, int] = field(default_factory=dict, repr=False)
-    anywhere: bool = True
-
-    @property
-    def where(self) -> str:
-        """File, line and key, as messages begin."""
-        line = self.lines.get(self.key)
-        name = "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in self.key).lstrip(".")
-        return f"{self.path}{f':{line}' if line else ''}" + (f": {name}" if name else "")
-
-    def fail(self, problem: str) -> NoReturn:
-        """Raise the error that this value has a problem.
-
-        Raises:
-            InputError: always.
-        """
-        raise InputError(f"{self.where}: {problem}")
-
-    def expected(self, what: str) -> NoReturn:
-        """Raise the error that something else was expected here."""
-        self.fail(f"expected {what}, found {_found(self.value)}")
-
-    def at(self, key: str | int) -> Node:
-        """The value under a key or index that is known to be there."""
-        return Node(self.value[key], self.path, (*self.key, key), self.lines, self.anywhere)
-
-    def entries(self) -> dict[str, Node]:
-        """The values of a mapping whose keys are names that the author chose."""
-        if not isinstance(self.value, dict):
-            self.expected("a mapping")
-        return {key: self.at(key) for key in self.value}
-
-    def fields(self, required: Iterable[str] = (), optional: Iterable[str] = ()) -> dict[str, Node]:
-        """The values of a mapping with known keys.
-
-        Raises:
-            InputError: a key is unknown, or a required one is missing.
-        """
-        entries, required = self.entries(), list(required)
-        known = [*required, *optional]
-        for key, node in entries.items():
-            if key not in known:
-                close = difflib.get_close_matches(key, known, 1)
-                hint = f" (did you mean '{close[0]}'?)" if close else ""
-                node.fail(f"unknown key '{key}'{hint}; expected one of: {', '.join(known)}")
-        for key in required:
-            if key not in entries:
-                self.fail(f"the key '{key}' is missing; found only: {', '.join(entries) or 'nothing'}")
-        return entries
-
-    def items(self) -> list[Node]:
-        """The values of a list."""
-        if not isinstance(self.value, list):
-            self.expected("a list")
-        return [self.at(i) for i in range(len(self.value))]
-
-    def text(self) -> str:
-        """A text that is not empty."""
-        if not isinstance(self.value, str) or not self.value:
-            self.expected("a text" + (" (put it in quotes)" if isinstance(self.value, bool | int | float) else ""))
-        return self.value
-
-    def choice(self, choices: Sequence[str]) -> str:
-        """One of several texts."""
-        if self.value not in choices:
-            self.expected(f"one of: {', '.join(choices)}")
-        return str(self.value)
-
-    def integer(self, least: int = 0) -> int:
-        """An integer of at least `least`."""
-        if isinstance(self.value, bool) or not isinstance(self.value, int) or self.value < least:
-            self.expected(f"an integer of at least {least}")
-        return self.value
-
-    def number(self, least: float = -math.inf, above: float = -math.inf) -> float:
-        """A finite number, of at least `least` and above `above`."""
-        value = self.value
-        bounds = [f"at least {least:g}"] * math.isfinite(least) + [f"above {above:g}"] * math.isfinite(above)
-        what = " ".join(["a finite number", *bounds])
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            self.expected(what)
-        if not (abs(value) < 1e300 and value >= least and value > above):  # also refuses NaN
-            self.expected(what)
-        return float(value)
-
-    def numbers(self, *shape: int) -> Floats:
-        """An array of finite numbers (...), as they stand; -1 in `shape` stands for any length but zero.
-
-        Raises:
-            InputError: another nesting, another length, or an element that is not a finite number.
-        """
-
-        def collect(node: Node, shape: tuple[int, ...]) -> Any:
-            if not shape:
-                return node.number()
-            items = node.items()
-            if len(items) != shape[0] and not (shape[0] == -1 and items):
-                wanted = "at least one element" if shape[0] == -1 else f"{shape[0]} elements"
-                node.fail(f"expected a list of {wanted}, found {len(items)}")
-            return [collect(item, shape[1:]) for item in items]
-
-        return frozen(collect(self, shape))
-
-    def place(self) -> Path:
-        """The path that this text is, whether or not there is a file; a relative one starts at the document's folder.
-
-        Unless files may be anywhere, a relative path must lead into that folder, or into the one above, where the
-        sessions of a campaign keep what they share (`../target.yaml`). What leads farther, by `..` or by a link, is
-        refused: it means another file when the folder is moved or copied. An absolute path says where it leads, and is
-        followed.
-
-        Raises:
-            InputError: it is no text, or leads too far.
-        """
-        text = self.text()
-        path = self.path.parent / text
-        if not self.anywhere and not Path(text).is_absolute():
-            try:
-                inside(path, self.path.parent.resolve().parent, "its folder and the one above,")
-            except InputError as error:
-                self.fail(f"{error}; write the whole path, or allow it (--allow-outside)")
-        return path
-
-    def file(self) -> Path:
-        """The `place` of a file that exists."""
-        path = self.place()
-        if not is_file(path):
-            self.fail(f"no such file: {path}")
-        return path
-
-
 def read_document(path: str | Path, kind: str, version: int = 1, anywhere: bool = True) -> Node:
-    """Read a file of this package's forms and check what it says it is.
+    """Read a file of this package's forms, and check it against the form's schema.
 
     Args:
         path: a `.json` file, or else YAML.
@@ -194,18 +50,27 @@ def read_document(path: str | Path, kind: str, version: int = 1, anywhere: bool 
         anywhere: whether the files that it names may be outside of its folder (see `Node.place`).
 
     Raises:
-        InputError: not readable, not well-formed, or of another kind or version.
+        InputError: not readable, not well-formed, of another kind or version, or not what the schema says.
     """
-    root = read_json(path) if Path(path).suffix.lower() == ".json" else read_yaml(path)
-    check_schema(root, kind, version)
+    root = read_plain(path)
+    check_document(root, kind, version)
     return replace(root, anywhere=anywhere)
 
 
-def check_schema(root: Node, kind: str, version: int = 1) -> None:
-    """Check that a document says it is of a kind and version.
+def read_plain(path: str | Path) -> Node:
+    """Read a `.json` file, or else YAML, of whatever form.
 
     Raises:
-        InputError: it says nothing, or something else.
+        InputError: not readable, or not well-formed.
+    """
+    return read_json(path) if Path(path).suffix.lower() == ".json" else read_yaml(path)
+
+
+def check_document(root: Node, kind: str, version: int = 1) -> None:
+    """Check that a document says it is of a kind and version, and fits the schema of that form.
+
+    Raises:
+        InputError: it says nothing or something else, or does not fit.
     """
     wanted = f"optshape/{kind}/{version}"
     if not isinstance(root.value, dict):
@@ -220,6 +85,7 @@ def check_schema(root: Node, kind: str, version: int = 1) -> None:
                 f"'{schema.value}' is a newer form of {kind} file; this version of optshape_graph reads '{wanted}'"
             )
         schema.expected(f"'{wanted}'")
+    check(root, load_schema(f"{kind}-{version}"))
 
 
 def read_yaml(path: str | Path) -> Node:
@@ -305,15 +171,3 @@ def _block(opening: str, parts: list[str], closing: str, indent: str) -> str:
     if not parts:
         return opening + closing
     return opening + "".join(f"\n{indent}  {part}," for part in parts)[:-1] + f"\n{indent}{closing}"
-
-
-def _found(value: Any) -> str:
-    match value:
-        case None:
-            return "nothing (null)"
-        case dict():
-            return "a mapping"
-        case list():
-            return f"a list of {len(value)}"
-    shown = repr(value)
-    return shown if len(shown) <= 80 else shown[:77] + "..."

@@ -53,6 +53,8 @@ def read_bytes(path: str | Path, largest: int = LARGEST_FILE) -> bytes:
     try:
         if path.is_dir():
             raise InputError(f"{path}: expected a file, found a folder")
+        if path.is_fifo() and path.parts[:2] not in (("/", "dev"), ("/", "proc")):
+            raise InputError(f"{path}: a named pipe, which may have no end; expected a file")
         with path.open("rb") as stream:  # in pieces: read(n) allocates n bytes at once, whatever the file's size
             pieces, size = [], 0
             while size <= largest and (piece := stream.read(_PIECE)):
@@ -65,6 +67,24 @@ def read_bytes(path: str | Path, largest: int = LARGEST_FILE) -> bytes:
     if size > largest:
         raise InputError(f"{path}: larger than {largest} bytes, the most that is read of such a file")
     return b"".join(pieces)
+
+
+def read_head(path: str | Path, size: int) -> bytes:
+    """Return the first bytes of a file; of anything else than a regular file none.
+
+    Raises:
+        InputError: the file is missing or not readable.
+    """
+    path = Path(path)
+    try:
+        if path.exists() and not path.is_file():
+            return b""
+        with path.open("rb") as stream:
+            return stream.read(size)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({_reason(error)})") from error
 
 
 def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:

@@ -1,8 +1,9 @@
 """JSON Schemas (draft 2020-12) of every file form, published with the package: `data/schemas/KIND-VERSION.schema.json`.
 
-They say what may stand in a file, with units and frames; YAML files are validated as the plain data they hold. What a
-schema refuses, the readers refuse; the readers check more (files that exist, polygons that are convex). Where they
-refuse keys that they do not know, so does the schema; results, which others read, may carry more keys than it names.
+Each is the one description of its form: what may stand in a file, with units and frames. The readers check with it
+(`validation`) and then what it can't say (files that exist, polygons that are convex); the documentation's tables are
+made from it; what commands write is held against it by the tests. YAML files are validated as the plain data they hold.
+Results, which others read, may carry more keys than their schema names.
 
 Versions. A file says `schema: optshape/KIND/VERSION`.
 

@@ -37,10 +37,7 @@ def load_sensor(name_or_path: str | Path, folder: Path | None = None) -> SensorM
     """
     path = find("sensor", str(name_or_path), folder)
     root = read_document(path, "sensor")
-    fields = root.fields(
-        required=["schema", "elevations_deg"],
-        optional=["name", "azimuth_step_deg", "azimuth_offsets_deg", "beam_divergence_deg", *_METRES],
-    )
+    fields = root.entries()
     parameters: dict[str, Any] = {
         attribute: fields[key].number() for key, attribute in _METRES.items() if key in fields
     }

@@ -12,7 +12,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.io.builtin import builtin_names
 from optshape_graph.io.cameras import load_camera
 from optshape_graph.io.documents import Node, read_document
-from optshape_graph.io.markers import UNITS, Markers, read_markers
+from optshape_graph.io.markers import Markers, read_markers
 from optshape_graph.io.sensors import load_sensor
 from optshape_graph.io.targets import load_target
 from optshape_graph.sensor import SensorModel
@@ -106,33 +106,21 @@ def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
     """
     path = Path(path)
     root = read_document(path, "session", anywhere=allow_outside)
-    fields = root.fields(
-        ["schema"],
-        ["name", "sensor", "lidars", "target", "targets", "camera", "cameras", "views", "scans", "mocap"],
-    )
-    lidars = _named(root, fields, "sensor", "lidars", _sensor, lambda sensor: sensor.name)
-    targets = _named(root, fields, "target", "targets", _target, lambda target: target.name)
-    cameras = _named(root, fields, "camera", "cameras", _camera, lambda camera: camera.name)
-    for kind, found, keys in (("LiDAR", lidars, "sensor or lidars"), ("target", targets, "target or targets")):
-        if not found:
-            root.fail(f"the session names no {kind}; expected the key {keys}")
+    fields = root.entries()
+    lidars = _named(fields, "sensor", "lidars", _sensor, lambda sensor: sensor.name)
+    targets = _named(fields, "target", "targets", _target, lambda target: target.name)
+    cameras = _named(fields, "camera", "cameras", _camera, lambda camera: camera.name)
     mocap = _mocap(fields["mocap"], targets) if "mocap" in fields else None
-    if ("views" in fields) == ("scans" in fields):
-        root.fail("expected the key 'views' or the key 'scans', one of them")
     listed, scan_key = (fields["views"], "scan") if "views" in fields else (fields["scans"], "file")
     views = tuple(_view(node, scan_key, lidars, targets, cameras, mocap) for node in listed.items())
-    if not views:
-        listed.expected("at least one scan")
     name = fields["name"].text() if "name" in fields else path.stem
     return Session(name, path, lidars, cameras, targets, views, mocap)
 
 
 def _named(
-    root: Node, fields: Mapping[str, Node], one: str, several: str, read: Callable[[Node], T], name: Callable[[T], str]
+    fields: Mapping[str, Node], one: str, several: str, read: Callable[[Node], T], name: Callable[[T], str]
 ) -> dict[str, T]:
     """What the short key or the mapping of the general form names; empty where there is neither."""
-    if one in fields and several in fields:
-        fields[one].fail(f"expected '{one}' or '{several}', found both")
     if one in fields:
         item = read(fields[one])
         return {name(item): item}
@@ -151,7 +139,7 @@ def _loaded(node: Node, load: Callable[[str, Path], T], names: Sequence[str]) ->
 
 def _sensor(node: Node) -> SensorModel:
     if isinstance(node.value, dict):  # of the general form
-        node = node.fields(["sensor"])["sensor"]
+        node = node.at("sensor")
     return _loaded(node, load_sensor, builtin_names("sensor"))
 
 
@@ -160,8 +148,8 @@ def _target(node: Node) -> Target:
 
 
 def _camera(node: Node) -> CameraIntrinsics:
-    name = node.key[-1]
-    return _loaded(node, lambda text, folder: load_camera(folder / text, str(name)), [])
+    name = str(node.key[-1]) if len(node.key) > 1 else None  # of the general form
+    return _loaded(node, lambda text, folder: load_camera(folder / text, name), [])
 
 
 def _view(
@@ -172,9 +160,7 @@ def _view(
     cameras: Mapping[str, CameraIntrinsics],
     mocap: Mocap | None,
 ) -> View:
-    fields = node.fields(
-        [scan_key], ["lidar", "camera", "image", "targets", "target_points", "stamp", "mocap_frame", "corners"]
-    )
+    fields = node.entries()
     if "lidar" not in fields and len(lidars) > 1:
         node.fail(f"the key 'lidar' is missing; the session has several: {', '.join(lidars)}")
     lidar = _reference(fields["lidar"], lidars, "LiDAR") if "lidar" in fields else next(iter(lidars))
@@ -182,8 +168,6 @@ def _view(
         fields["image"].fail("an image, but the session names no camera")
     if "image" in fields and "camera" not in fields and len(cameras) > 1:
         node.fail(f"the key 'camera' is missing; the session has several: {', '.join(cameras)}")
-    if "camera" in fields and "image" not in fields:
-        fields["camera"].fail("a camera, but the key 'image' is missing")
     camera = _reference(fields["camera"], cameras, "camera") if "camera" in fields else next(iter(cameras), None)
     seen = (
         tuple(_reference(item, targets, "target") for item in fields["targets"].items())
@@ -214,21 +198,17 @@ def _frame(node: Node, mocap: Mocap | None) -> int:
 
 
 def _mocap(node: Node, targets: Mapping[str, Target]) -> Mocap:
-    fields = node.fields(["file", "units"], ["markers"])
-    units = fields["units"].choice(list(UNITS))
-    markers = read_markers(fields["file"].file(), units)
+    fields = node.entries()
+    markers = read_markers(fields["file"].file(), fields["units"].text())
     if "markers" not in fields:
         return Mocap(markers, _corners(markers, targets))
     vertices: dict[str, tuple[str, int]] = {}
     for marker, place in fields["markers"].entries().items():
         if marker not in markers.names:
             place.fail(f"no marker '{marker}'; the file has: {', '.join(markers.names)}")
-        parts = place.items()
-        if len(parts) != 2:
-            place.expected("a target and the index of its vertex, as [A, 0]")
-        target, vertex = _reference(parts[0], targets, "target"), parts[1].integer()
+        target, vertex = _reference(place.at(0), targets, "target"), place.at(1).integer()
         if vertex >= len(targets[target]):
-            parts[1].expected(f"a vertex of '{target}', 0 to {len(targets[target]) - 1}")
+            place.at(1).expected(f"a vertex of '{target}', 0 to {len(targets[target]) - 1}")
         if (target, vertex) in vertices.values():
             place.fail(f"a second marker at vertex {vertex} of '{target}'")
         vertices[marker] = (target, vertex)

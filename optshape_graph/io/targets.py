@@ -62,7 +62,7 @@ def save_target(path: str | Path, target: Target) -> None:
 
 def _read_target(path: Path) -> Target:
     root = read_document(path, "target")
-    fields = root.fields(required=["schema", "vertices"], optional=["name", "chessboard", "tags"])
+    fields = root.entries()
     vertices = fields["vertices"].numbers(-1, 3)
     name = fields["name"].text() if "name" in fields else path.stem
     chessboard = _read_chessboard(fields["chessboard"]) if "chessboard" in fields else None
@@ -74,25 +74,14 @@ def _read_target(path: Path) -> Target:
 
 
 def _read_chessboard(node: Node) -> Chessboard:
-    fields = node.fields(required=["inner_corners", "square"], optional=["offset"])
-    corners = fields["inner_corners"].items()
-    if len(corners) != 2:
-        fields["inner_corners"].expected("two numbers, of inner corners along z and y")
-    along_z, along_y = (corner.integer(2) for corner in corners)
-    square = fields["square"].number(above=0)
+    fields = node.entries()
+    along_z, along_y = fields["inner_corners"].value
     y, z = fields["offset"].numbers(2) if "offset" in fields else (0.0, 0.0)
-    return Chessboard((along_z, along_y), square, (float(y), float(z)))
+    return Chessboard((along_z, along_y), fields["square"].number(), (float(y), float(z)))
 
 
 def _read_tags(node: Node) -> Tags:
-    fields = node.fields(required=["dictionary", "size", "centres"], optional=["turn_deg"])
-    centres = {}
-    for number, place in fields["centres"].entries().items():
-        if not (number.isascii() and number.isdecimal()):
-            place.fail(f"expected the number of a tag, found '{number}'")
-        y, z = place.numbers(2)
-        centres[int(number)] = (float(y), float(z))
-    if not centres:
-        fields["centres"].expected("at least one tag, as 7: [0.1, 0.2]")
+    fields = node.entries()
+    centres = {int(number): (float(y), float(z)) for number, (y, z) in fields["centres"].value.items()}
     turn = fields["turn_deg"].number() if "turn_deg" in fields else 0.0
-    return Tags(fields["dictionary"].text(), fields["size"].number(above=0), centres, math.radians(turn))
+    return Tags(fields["dictionary"].text(), fields["size"].number(), centres, math.radians(turn))

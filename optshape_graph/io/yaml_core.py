@@ -2,7 +2,8 @@
 
 PyYAML's own composer recurses in C without a limit (a deep document crashes the process), keeps the last of duplicate
 keys, and resolves as YAML 1.1 does. Here scalars resolve as in the core schema of YAML 1.2: `1e-3` is a number; `no`,
-`12:30` and `2024-01-01` are text. Tags, anchors and aliases are refused, and with them aliases that expand without end.
+`12:30` and `2024-01-01` are text. Tags, anchors and aliases are refused, and with them aliases that expand without end;
+in files of other programs tags, and anchors that nothing refers to, are passed over: no tag ever chooses a type.
 """
 
 from __future__ import annotations
@@ -30,16 +31,25 @@ _NULL = {"", "~", "null", "Null", "NULL"}
 _BOOLEANS = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
 _INTEGER = re.compile(r"(?:[-+]?[0-9]+|0x[0-9a-fA-F]+|0o[0-7]+)\Z")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z")
+_OPENCV_LINE = re.compile(r"\A(?=%YAML:)")
 _NON_FINITE = re.compile(r"(?:[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))\Z")
 
 
-def parse_yaml(path: str | Path, text: str) -> tuple[Any, dict[Key, int]]:
+def parse_yaml(path: str | Path, text: str, foreign: bool = False) -> tuple[Any, dict[Key, int]]:
     """Return the one document of a YAML text, and the line, from 1, of each key.
+
+    Args:
+        path: the file, for messages.
+        text: its content.
+        foreign: of another program: tags, anchors without aliases, and the first line that OpenCV writes
+            (`%YAML:1.0`, which no version of YAML has) are passed over.
 
     Raises:
         InputError: not YAML, empty, several documents, or with a feature that is refused.
     """
-    return _Builder(Path(path), text).build()
+    if foreign:
+        text = _OPENCV_LINE.sub("#", text)
+    return _Builder(Path(path), text, foreign).build()
 
 
 def dump_yaml(value: Mapping[str, Any]) -> str:
@@ -62,8 +72,8 @@ _Dumper.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+.012345
 class _Builder:
     """Plain data of the parser's events, and the lines that they came from."""
 
-    def __init__(self, path: Path, text: str) -> None:
-        self.path = path
+    def __init__(self, path: Path, text: str, foreign: bool) -> None:
+        self.path, self.foreign = path, foreign
         self.events = yaml.parse(text, _LOADER)
         self.lines: dict[Key, int] = {}
 
@@ -98,11 +108,12 @@ class _Builder:
         raise InputError(f"{self.path}:{_line(event)}: {problem}")
 
     def _value(self, key: Key, event: yaml.Event) -> Any:
-        if anchor := getattr(event, "anchor", None):  # of an alias too
+        anchor = getattr(event, "anchor", None)  # of an alias too
+        if anchor and not (self.foreign and not isinstance(event, yaml.AliasEvent)):
             self._fail(event, f"anchors and aliases are not read ('{anchor}'); write the value out")
         if len(key) > DEEPEST:
             self._fail(event, f"nested more than {DEEPEST} levels deep")
-        if (tag := getattr(event, "tag", None)) not in (None, "!"):
+        if (tag := getattr(event, "tag", None)) not in (None, "!") and not self.foreign:
             self._fail(event, f"tags are not read, found '{tag}'; expected plain values")
         self.lines.setdefault(key, _line(event))
         if len(self.lines) > MOST_VALUES:
@@ -127,7 +138,7 @@ class _Builder:
 
     def _scalar(self, event: yaml.ScalarEvent) -> Any:
         text: str = event.value
-        if not event.implicit[0]:  # quoted, or a block of text
+        if event.style or event.tag == "!":  # quoted, or a block of text
             return text
         if text in _NULL:
             return None

@@ -16,9 +16,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from optshape_graph._arrays import Floats, Ints
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.factors.summary import Summary, linearise
 from optshape_graph.mapping.sighting import Sighting
+from optshape_graph.se3 import adjoint, inverse
 
 CONFIDENCE = 0.999
 """Share of the right pairings that pass the gate, if covariances are right."""

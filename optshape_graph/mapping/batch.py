@@ -17,14 +17,14 @@ from gtsam.symbol_shorthand import B, L, V, X
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import SummaryFactor
-from optshape_graph.factors._noise import gaussian
-from optshape_graph.factors.se3 import adjoint, inverse, vec, vec_derivative
+from optshape_graph.factors._rows import gaussian
 from optshape_graph.mapping.batch_solution import BatchSolution, Residual, pose_graph
 from optshape_graph.mapping.biases import Biases
 from optshape_graph.mapping.landmark_graph import LOSS
 from optshape_graph.mapping.priors import joint_prior, sqrt_information
 from optshape_graph.mapping.shapes import Shapes
 from optshape_graph.mapping.track import Keys, MappingProblem
+from optshape_graph.se3 import adjoint, inverse, vec, vec_derivative
 
 __all__ = ["BatchSolution", "Residual", "factor_graph", "pose_graph", "solve_batch"]
 
@@ -86,7 +86,7 @@ class _Batch:
             poses,
             {name: L(k) for k, name in enumerate(names)},
             {name: V(number[name]) for name in self.shapes.targets},
-            {t: B(t) for t, found in enumerate(self.biases.names) if found},
+            {t: B(t) for t, found in enumerate(self.biases.errors) if found},
         )
         all_poses = [key for keys in poses for key in keys]
         self.pose = np.array([offset[t] + m.pose for t, track in enumerate(problem.tracks) for m in track.matches], int)
@@ -225,10 +225,10 @@ class _Batch:
         for k in np.flatnonzero(~self.shapes.replaced & ~self.biases.replaced).tolist():
             linear.push_back(gtsam.JacobianFactor(k_target[k], by_target[k], k_lidar[k], R[k], b[k], unit))
         for n, (k, t) in enumerate(zip(self.biases.matches.tolist(), self.biases.track.tolist(), strict=True)):
-            by_bias = self.biased.E[n, :, : len(self.biases.names[t])] * root[k]
+            by_bias = self.biased.E[n, :, : len(self.biases.errors[t])] * root[k]
             linear.add(k_target[k], by_target[k], k_lidar[k], R[k], self.keys.biases[t], by_bias, b[k], unit)
         for t, key in self.keys.biases.items():
-            rows, m = self.biased.alone[t], len(self.biases.names[t])
+            rows, m = self.biased.alone[t], len(self.biases.errors[t])
             linear.add(key, rows[:, :m], -rows[:, -1], gtsam.noiseModel.Unit.Create(len(rows)))
         self.shapes.linearise(linear, values, self.keys)
         return linear

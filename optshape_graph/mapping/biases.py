@@ -19,10 +19,10 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints
-from optshape_graph.factors import BiasedMeasurement
+from optshape_graph.factors import BiasedMeasurement, SharedError
 from optshape_graph.factors._rows import factored, triangular
-from optshape_graph.factors.se3 import vec, vec_derivative
 from optshape_graph.mapping.track import MappingProblem
+from optshape_graph.se3 import vec, vec_derivative
 
 BLOCK = 256
 """Matches that are linearised at a time: more would only take memory."""
@@ -35,14 +35,14 @@ class Biases:
     Attributes:
         matches: (B,) numbers of the matches that are linear in them.
         track: (B,) of each of those.
-        names: of each track's biases, in the order of its variable; empty: none of its matches has any.
+        errors: each track's biases, in the order of its variable; empty: none of its matches has any.
         measurements: of each of those matches.
         replaced: (K,) whether a match is among them, instead of its template measurement.
     """
 
     matches: Ints
     track: Ints
-    names: tuple[tuple[str, ...], ...]
+    errors: tuple[tuple[SharedError, ...], ...]
     measurements: tuple[BiasedMeasurement, ...]
     replaced: Bools
 
@@ -52,26 +52,26 @@ class Biases:
         matches = [(t, match) for t, track in enumerate(problem.tracks) for match in track.matches]
         biased = {k: match.biased for k, (_, match) in enumerate(matches) if wanted and not taken[k]}
         found = {k: measurement for k, measurement in biased.items() if measurement is not None}
-        names = tuple(
-            tuple(sorted({name for k, m in found.items() if matches[k][0] == t for name in m.shared}, key=_natural))
+        errors = tuple(
+            tuple(sorted({e for k, m in found.items() if matches[k][0] == t for e in m.shared}, key=_by_ring))
             for t in range(len(problem.tracks))
         )
         replaced = np.zeros(len(matches), dtype=bool)
         replaced[list(found)] = True
         track = np.array([matches[k][0] for k in found], int)
-        return cls(np.array(list(found), int), track, names, tuple(found.values()), replaced)
+        return cls(np.array(list(found), int), track, errors, tuple(found.values()), replaced)
 
     def insert(self, values: gtsam.Values, keys: Mapping[int, int]) -> None:
         """Add the biases, zero, to initial values."""
         for t, key in keys.items():
-            values.insert(key, np.zeros(len(self.names[t])))
+            values.insert(key, np.zeros(len(self.errors[t])))
 
     def at(self, H: Floats, values: gtsam.Values, keys: Mapping[int, int]) -> BiasModel:
         """Linearise the matches at T_target_lidar (B, 4, 4) and the biases in `values`."""
-        m = max(map(len, self.names))
-        beta = np.zeros((len(self.names), m))
+        m = max(map(len, self.errors))
+        beta = np.zeros((len(self.errors), m))
         for t, key in keys.items():
-            beta[t, : len(self.names[t])] = values.atVector(key)
+            beta[t, : len(self.errors[t])] = values.atVector(key)
         alone = {t: np.column_stack([np.eye(m), beta[t]]) for t in keys}  # the prior
         linked = np.zeros((len(H), 6, m + 7))
         for first in range(0, len(H), BLOCK):
@@ -90,7 +90,7 @@ class Biases:
         some = self.measurements[block]
         rows = np.zeros((len(some), max(len(one.stack) for one in some), m + 13))
         for row, one, t in zip(rows, some, self.track[block].tolist(), strict=True):
-            place = [self.names[t].index(name) for name in one.shared]
+            place = [self.errors[t].index(error) for error in one.shared]
             row[: len(one.stack), [*place, *range(m, m + 13)]] = one.stack
         return rows
 
@@ -117,7 +117,5 @@ class BiasModel:
         return 0.5 * sum(float(np.square(rows[:, -1]).sum()) for rows in self.alone.values())
 
 
-def _natural(name: str) -> tuple[str, int]:
-    """Sort ring 10 after ring 9."""
-    words = name.rsplit(" ", 1)
-    return (words[0], int(words[1])) if len(words) == 2 and words[1].isdigit() else (name, 0)
+def _by_ring(error: SharedError) -> int:
+    return -1 if error.ring is None else error.ring

@@ -14,10 +14,10 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.factors.summary import Summary
 from optshape_graph.mapping.association import gate
 from optshape_graph.mapping.sighting import Sighting
+from optshape_graph.se3 import adjoint, inverse
 
 RESOLVED = 13.8
 """Difference of twice the log likelihood (a factor of 1000) from which on one hypothesis has beaten another."""
@@ -46,7 +46,7 @@ class Candidate:
 
     def __post_init__(self) -> None:
         first = self.sightings[0][1]
-        turns = len(first.target.symmetry_rotations)
+        turns = len(first.target.symmetries)
         # How a symmetric target's vertices are named is free, once: the first sighting does it.
         self.choices = [[k * turns] for k in range(len(first.measurements))]
         self.scores = np.zeros(len(self.choices))

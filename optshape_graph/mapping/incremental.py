@@ -12,15 +12,15 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping.association import Pairing, associate, gated, plain, predictions
 from optshape_graph.mapping.candidates import MOST_CARRIED, Candidate
 from optshape_graph.mapping.landmark_graph import LandmarkGraph
 from optshape_graph.mapping.locate import locate
-from optshape_graph.mapping.map import Map, rigid
+from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.sighting import Sighting
 from optshape_graph.mapping.track import MappingProblem, Match, Odometry, Start, Track
+from optshape_graph.se3 import PoseLike, adjoint, as_transform, inverse
 from optshape_graph.target import Target
 
 AT_THE_ORIGIN = Start(np.eye(4), 1e-8 * np.eye(6))
@@ -105,7 +105,7 @@ class LandmarkSlam:
     # ---- in ----------------------------------------------------------------------------------------------------------
 
     def add_odometry(
-        self, stamp: float, T_previous_current: Floats | None = None, covariance: Floats | None = None
+        self, stamp: float, T_previous_current: PoseLike | None = None, covariance: Floats | None = None
     ) -> int:
         """Begin a new pose.
 
@@ -131,7 +131,7 @@ class LandmarkSlam:
         self._flush()
         newest = len(self._poses)
         if T_previous_current is not None and covariance is not None and newest:
-            T = rigid(T_previous_current, "odometry")
+            T = as_transform(T_previous_current, "odometry")
             self._pending = Odometry(newest - 1, newest, T, covariance)
             self._poses.append(self._poses[-1] @ T)
             self._stamps.append(stamp)

@@ -7,17 +7,16 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.sessions import Session
 from optshape_graph.mapping.motion import twist_between
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import PoseLike, angle, as_transform, exp, inverse
 
 
 @dataclass(frozen=True)
@@ -36,8 +35,8 @@ class KeyframePolicy:
 
     def wants(self, motion: Floats, seconds: float) -> bool:
         """Say whether a scan after a motion (4, 4) and a time is a keyframe."""
-        turned = float(np.linalg.norm(gtsam.Rot3.Logmap(gtsam.Rot3(motion[:3, :3]))))
-        return float(np.linalg.norm(motion[:3, 3])) >= self.distance or turned >= self.angle or seconds >= self.seconds
+        moved = float(np.linalg.norm(motion[:3, 3]))
+        return bool(moved >= self.distance or angle(motion) >= self.angle or seconds >= self.seconds)
 
 
 @dataclass(frozen=True)
@@ -74,8 +73,8 @@ class OdometryTrack:
         T_body_lidar: (4, 4) of the LiDAR on the body that the poses are of.
     """
 
-    def __init__(self, poses: Iterable[Stamped[Floats]], T_body_lidar: Floats | None = None) -> None:
-        self.T_body_lidar = np.eye(4) if T_body_lidar is None else T_body_lidar
+    def __init__(self, poses: Iterable[Stamped[Floats]], T_body_lidar: PoseLike | None = None) -> None:
+        self.T_body_lidar = np.eye(4) if T_body_lidar is None else as_transform(T_body_lidar, "T_body_lidar")
         self._poses = iter(poses)
         self._window: list[Stamped[Floats]] = []
 
@@ -95,7 +94,7 @@ class OdometryTrack:
             if before.stamp <= stamp <= after.stamp:
                 step = inverse(before.value @ self.T_body_lidar) @ after.value @ self.T_body_lidar
                 twist = twist_between(step, after.stamp - before.stamp)
-                moved = gtsam.Pose3.Expmap((stamp - before.stamp) * twist).matrix()
+                moved = exp((stamp - before.stamp) * twist)
                 return before.value @ self.T_body_lidar @ moved, twist
         return None
 

@@ -16,12 +16,12 @@ from gtsam.symbol_shorthand import L, X
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import Summary, summarise
-from optshape_graph.factors._noise import gaussian
-from optshape_graph.factors.se3 import inverse
-from optshape_graph.mapping.map import Landmark, Map, rigid
+from optshape_graph.factors._rows import gaussian
+from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.priors import joint_prior, root_of
 from optshape_graph.mapping.smoother import Smoother
 from optshape_graph.mapping.track import Match, Odometry, Start
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
 LOSS = 4.1
@@ -152,7 +152,7 @@ class LandmarkGraph:
 
     def add_start(self, start: Start, stamp: float) -> None:
         """Add the first pose, where it is known to be."""
-        values, pose = gtsam.Values(), gtsam.Pose3(rigid(start.T_world_lidar, "start"))
+        values, pose = gtsam.Values(), gtsam.Pose3(start.T_world_lidar)
         values.insert(X(0), pose)
         prior = gtsam.PriorFactorPose3(X(0), pose, gaussian(root_of(start.covariance, "start")))
         self._smoother.update([prior], values, stamps={X(0): stamp})

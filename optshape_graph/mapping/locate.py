@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.mapping.association import Pairing, associate, gated, predictions
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.sighting import Sighting
+from optshape_graph.se3 import adjoint, difference, inverse
 
 SAME_PLACE = 0.3
 """Tangent distance, rad and metres, within which two poses count as one."""
@@ -94,4 +93,4 @@ def _with_pose(covariance: Floats, position: int, T_target_lidar: Floats, sqrt_i
 
 
 def _apart(a: Floats, b: Floats) -> float:
-    return float(np.linalg.norm(gtsam.Pose3.Logmap(gtsam.Pose3(inverse(a) @ b))))
+    return float(np.linalg.norm(difference(a, b)))

@@ -18,9 +18,8 @@ from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.io.documents import Node, read_document, write_json
 from optshape_graph.io.trajectories import Trajectory
+from optshape_graph.se3 import apply, as_transform
 from optshape_graph.target import Target
-
-_UNIT = np.eye(3)
 
 SCHEMA = "optshape/map/1"
 
@@ -47,13 +46,13 @@ class Landmark:
     observations: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "T_world_target", rigid(self.T_world_target, f"landmark '{self.id}'"))
+        object.__setattr__(self, "T_world_target", as_transform(self.T_world_target, f"landmark '{self.id}'"))
         object.__setattr__(self, "covariance", _covariance(self.covariance, 6, f"landmark '{self.id}'"))
 
     @property
     def vertices(self) -> Floats:
         """(n, 3) vertices, world frame, metres."""
-        return np.asarray(self.target.vertices @ self.T_world_target[:3, :3].T + self.T_world_target[:3, 3])
+        return apply(self.T_world_target, self.target.vertices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,10 +146,8 @@ def load_map(path: str | Path) -> Map:
         InputError: not readable, or not of the schema; the message names file and key.
     """
     root = read_document(path, "map")
-    fields = root.fields(["schema", "targets", "landmarks", "trajectory"], ["joint_covariance", "session", "report"])
-    templates = {
-        name: node.fields(["vertices"])["vertices"].numbers(-1, 3) for name, node in fields["targets"].entries().items()
-    }
+    fields = root.entries()
+    templates = {name: node.at("vertices").numbers(-1, 3) for name, node in fields["targets"].entries().items()}
     landmarks = tuple(_landmark(node, templates) for node in fields["landmarks"].items())
     only = fields["session"].text() if "session" in fields else ""
     joint = None
@@ -160,23 +157,6 @@ def load_map(path: str | Path) -> Map:
         return Map(landmarks, joint if landmarks else None, _trajectories(fields["trajectory"], only))
     except InputError as error:
         root.fail(str(error))
-
-
-def rigid(T: Floats, what: str) -> Floats:
-    """Return a (4, 4) rigid transform, read-only.
-
-    Raises:
-        InputError: it is none.
-    """
-    pose = frozen(T)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        raise InputError(f"{what}: expected a finite pose as 4 x 4, found shape {pose.shape}")
-    R = pose[:3, :3]
-    x, y, z = R.T.tolist()
-    handed = sum(x[i] * (y[i - 2] * z[i - 1] - y[i - 1] * z[i - 2]) for i in range(3))
-    if np.abs(R.T @ R - _UNIT).max() > 1e-6 or handed < 0 or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        raise InputError(f"{what}: its pose is not a rigid transform: {pose.tolist()}")
-    return pose
 
 
 def _covariance(covariance: Floats, size: int, what: str) -> Floats:
@@ -196,12 +176,10 @@ def _stamps(trajectory: Trajectory) -> list[float]:
 
 
 def _landmark(node: Node, templates: Mapping[str, Floats]) -> Landmark:
-    fields = node.fields(["id", "target", "T_world_target", "covariance"], ["vertices", "observations"])
+    fields = node.entries()
     name = fields["id"].text()
     if name not in templates:
         fields["id"].fail(f"no template for landmark '{name}' under 'targets'")
-    if "vertices" in fields:
-        fields["vertices"].numbers(-1, 3)  # for other programs: they follow from the template and the pose
     observations = fields["observations"].integer() if "observations" in fields else 0
     try:
         target = Target(templates[name], fields["target"].text())
@@ -216,8 +194,8 @@ def _trajectories(node: Node, only: str) -> dict[str, Trajectory]:
     stamps: dict[str, list[float]] = {}
     poses: dict[str, list[Floats]] = {}
     for entry in node.items():
-        fields = entry.fields(["stamp", "T_world_lidar"], ["session"])
+        fields = entry.entries()
         name = fields["session"].text() if "session" in fields else only
         stamps.setdefault(name, []).append(fields["stamp"].number())
-        poses.setdefault(name, []).append(rigid(fields["T_world_lidar"].numbers(4, 4), entry.where))
+        poses.setdefault(name, []).append(as_transform(fields["T_world_lidar"].numbers(4, 4), entry.where))
     return {name: Trajectory(np.array(poses[name]), np.array(stamps[name]), name or "trajectory") for name in poses}

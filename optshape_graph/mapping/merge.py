@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors.se3 import adjoint, inverse
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.priors import sqrt_information
+from optshape_graph.se3 import adjoint, difference, exp, inverse, inverse_covariance, inverse_right_jacobian
 
 MAX_ITERATIONS = 30
 """Gauss-Newton steps at most."""
@@ -52,10 +51,8 @@ def merge_maps(a: Map, b: Map) -> Map:
         # The first map's frame is the world: only the second one's moves.
         J = np.vstack([R_a @ J_a[:, :size] @ np.eye(size, size + 6), R_b @ J_b])
         step = -np.linalg.lstsq(J, np.concatenate([R_a @ e_a, R_b @ e_b]), rcond=None)[0]
-        poses = {
-            name: poses[name] @ gtsam.Pose3.Expmap(step[6 * k : 6 * k + 6]).matrix() for k, name in enumerate(names)
-        }
-        T_a_b = T_a_b @ gtsam.Pose3.Expmap(step[size:]).matrix()
+        poses = {name: poses[name] @ exp(step[6 * k : 6 * k + 6]) for k, name in enumerate(names)}
+        T_a_b = T_a_b @ exp(step[size:])
         if np.abs(step).max() < CONVERGED:
             break
     else:
@@ -72,38 +69,25 @@ def _aligned(a: Map, b: Map) -> tuple[Floats, Map]:
     common = [landmark for landmark in b.landmarks if landmark.id in names]
 
     def mismatch(T: Floats) -> float:
-        apart = [T @ m.T_world_target @ np.array([0, 0, 0, 1.0]) - a[m.id].T_world_target[:, 3] for m in common]
-        turned = [
-            max(np.trace((T @ m.T_world_target)[:3, :3].T @ a[m.id].T_world_target[:3, :3] @ S.T) for S in _turns(m))
-            for m in common
-        ]
-        return float(np.square(apart).sum() + sum(3.0 - trace for trace in turned))
+        there = np.array([a[m.id].T_world_target for m in common])
+        here = np.array([m.target.nearest_equivalent(T @ m.T_world_target, a[m.id].T_world_target) for m in common])
+        return float(np.square((here - there)[:, :3]).sum())
 
-    starts = [a[m.id].T_world_target @ inverse(_turned(m, S).T_world_target) for m in common for S in _turns(m)]
+    starts = [
+        a[m.id].T_world_target @ inverse(m.T_world_target @ S) for m in common for S in m.target.symmetry_transforms
+    ]
     T_a_b = min(starts, key=mismatch)
-    named = []
-    for landmark in b.landmarks:
-        best = landmark
-        if landmark.id in names:
-            there = a[landmark.id].T_world_target[:3, :3]
-            best = max(
-                (_turned(landmark, S) for S in _turns(landmark)),
-                key=lambda m: float(np.trace((T_a_b @ m.T_world_target)[:3, :3].T @ there)),
-            )
-        named.append(best)
+    named = [_turned(m, T_a_b, a[m.id].T_world_target) if m.id in names else m for m in b.landmarks]
     return T_a_b, replace(b, landmarks=tuple(named), joint_covariance=_turned_covariance(b, named))
 
 
-def _turns(landmark: Landmark) -> tuple[Floats, ...]:
-    return landmark.target.symmetry_rotations
-
-
-def _turned(landmark: Landmark, S: Floats) -> Landmark:
-    """The same placement of a symmetric target with its vertices named otherwise."""
-    turn = np.eye(4)
-    turn[:3, :3] = S
-    Ad = adjoint(inverse(turn))
-    return replace(landmark, T_world_target=landmark.T_world_target @ turn, covariance=Ad @ landmark.covariance @ Ad.T)
+def _turned(landmark: Landmark, T_a_b: Floats, T_a_target: Floats) -> Landmark:
+    """The landmark of the second map, its vertices named as those of T_a_target (4, 4) in the first."""
+    S = landmark.target.symmetry_transforms[
+        landmark.target.nearest_symmetry(T_a_b @ landmark.T_world_target, T_a_target)
+    ]
+    covariance = inverse_covariance(inverse(S), landmark.covariance)
+    return replace(landmark, T_world_target=landmark.T_world_target @ S, covariance=covariance)
 
 
 def _turned_covariance(b: Map, named: list[Landmark]) -> Floats:
@@ -121,11 +105,11 @@ def _rows(measured: Map, names: list[str], poses: dict[str, Floats], T_a_m: Floa
     e = np.zeros(len(J))
     for i, landmark in enumerate(measured.landmarks):
         seen = inverse(T_a_m) @ poses[landmark.id]
-        xi = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(landmark.T_world_target) @ seen))
+        xi = difference(landmark.T_world_target, seen)
         rows, k = slice(6 * i, 6 * i + 6), names.index(landmark.id)
         e[rows] = xi
-        J[rows, 6 * k : 6 * k + 6] = gtsam.Pose3.LogmapDerivative(xi)
-        J[rows, -6:] = -gtsam.Pose3.LogmapDerivative(xi) @ adjoint(inverse(seen))
+        J[rows, 6 * k : 6 * k + 6] = inverse_right_jacobian(xi)
+        J[rows, -6:] = -inverse_right_jacobian(xi) @ adjoint(inverse(seen))
     return J, e
 
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors.se3 import adjoint, inverse, skew
 from optshape_graph.pose import PoseEstimate, estimate_pose
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import PoseLike, adjoint, as_matrix, inverse, log, skew
 from optshape_graph.target import Target
 
 MAX_ITERATIONS = 20
@@ -35,9 +35,9 @@ CONVERGED = 1e-7
 """Largest component of a step, rad or metres, with which it ends."""
 
 
-def twist_between(T_a_b: Floats, seconds: float) -> Floats:
+def twist_between(T_a_b: PoseLike, seconds: float) -> Floats:
     """Return the constant twist (6,), rad/s and m/s, LiDAR frame, that makes a motion (4, 4) in some time."""
-    return np.asarray(gtsam.Pose3.Logmap(gtsam.Pose3(T_a_b))) / seconds
+    return log(as_matrix(T_a_b)) / seconds
 
 
 def deskew(scan: Scan, twist: Floats, at: float = 0.0) -> Scan:

@@ -12,7 +12,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.factors._noise import gaussian
+from optshape_graph.factors._rows import gaussian
 
 
 def joint_prior(keys: Sequence[int], poses: Sequence[Floats], covariance: Floats) -> list[gtsam.NonlinearFactor]:

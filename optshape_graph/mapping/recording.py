@@ -9,13 +9,11 @@ from functools import partial
 from multiprocessing import get_context
 from typing import NamedTuple
 
-import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.mapping.incremental import LandmarkSlam
 from optshape_graph.mapping.keyframes import (
     Keyframe,
@@ -31,6 +29,7 @@ from optshape_graph.mapping.shapes import shape_measurement
 from optshape_graph.mapping.sighting import Sighting
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import exp, inverse
 from optshape_graph.target import Target
 
 __all__ = [
@@ -130,7 +129,7 @@ def _moving_sighting(
     if estimate.status == "failed":
         return None
     sighting = _sighting(estimate, deskew(returns, twist, at), name, shapes, biases)
-    return sighting.moved(gtsam.Pose3.Expmap(at * twist).matrix())
+    return sighting.moved(exp(at * twist))
 
 
 def observe_all(

@@ -14,15 +14,15 @@ import numpy as np
 
 from optshape_graph._arrays import Bools, Floats
 from optshape_graph.factors import ShapeMeasurement, shape_rows
-from optshape_graph.factors._noise import gaussian
-from optshape_graph.factors.se3 import adjoint, inverse
+from optshape_graph.factors._rows import gaussian
 from optshape_graph.mapping.priors import sqrt_information
 from optshape_graph.mapping.sighting import Sighting
 from optshape_graph.mapping.track import Keys, MappingProblem
 from optshape_graph.pose import PoseEstimate
-from optshape_graph.pose.angles import level_rings
+from optshape_graph.pose.azimuth_grid import level_rings
 from optshape_graph.pose.noise import returns_on_plane
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import adjoint, apply, inverse
 from optshape_graph.target import Target
 
 GAUGE_SIGMA_M = 1e-6
@@ -42,7 +42,7 @@ def shape_measurement(estimate: PoseEstimate, returns: Scan) -> ShapeMeasurement
     normal, distance = plane[:3], -float(plane[3])
     boundary = edges.points + estimate.inset[:, None] * edges.outward(normal)
     boundary = boundary * (distance / (boundary @ normal))[:, None]
-    on_plane = returns_on_plane(returns.points, returns.ring, normal, distance, returns.sensor, azimuth_noise)
+    on_plane = returns_on_plane(returns, normal, distance, azimuth_noise)
     # The distance from the plane goes along its normal, where it does not touch the row's other coefficients.
     off_plane = on_plane.points - on_plane.offset[:, None] * normal
     rows = np.vstack([
@@ -150,20 +150,18 @@ def _in_landmark(sighting: Sighting, hypothesis: int) -> ShapeMeasurement | None
     A symmetric target's vertex k may be the landmark's vertex k + shift. What is known of the other pose of an
     ambiguous sighting is no shape.
     """
-    shape, turns = sighting.shape, len(sighting.target.symmetry_rotations)
+    shape, turns = sighting.shape, len(sighting.target.symmetries)
     if shape is None or hypothesis >= turns:
         return None
-    S = sighting.target.symmetry_rotations[hypothesis]
+    S = sighting.target.symmetry_transforms[hypothesis]
     # T_target_lidar = S T', so a vertex v of the sighting's template is at S^-1 v in the landmark's frame.
-    turned = sighting.target.vertices @ S
+    turned = apply(inverse(S), sighting.target.vertices)
     shift = int(np.linalg.norm(turned[0] - sighting.target.vertices, axis=1).argmin())
     n = shape.n_edges
     block = np.append((np.arange(n) - shift) % n, n)  # the landmark's edge j is the sighting's edge j - shift
     U = shape.U.reshape(len(shape.U), n + 1, 4)[:, block].reshape(len(shape.U), -1)
     # The target's frame is turned as well; only the pose that the measurement was taken at notices.
-    turn = np.eye(4)
-    turn[:3, :3] = S
-    return ShapeMeasurement(np.asarray(np.linalg.qr(U, mode="r")), shape.n_rows, inverse(turn) @ shape.T_target_lidar)
+    return ShapeMeasurement(np.asarray(np.linalg.qr(U, mode="r")), shape.n_rows, inverse(S) @ shape.T_target_lidar)
 
 
 def _gauge(target: Target) -> Floats:

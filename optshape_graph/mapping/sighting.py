@@ -10,16 +10,12 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
 from optshape_graph.factors import BiasedMeasurement, ShapeMeasurement, Summary, TemplateMeasurement, summarise
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.pose import PoseEstimate
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
 LOOSEST = 10.0
 """Standard deviation, rad or metres, from which on a measurement does not determine a pose."""
-
-
-RING_BIAS = "range bias of ring "
-"""How the pose estimator names what a ring keeps from scan to scan."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,12 +120,7 @@ class Sighting:
 
     @property
     def _turns(self) -> list[Floats | None]:
-        turns: list[Floats | None] = [None]
-        for S in self.target.symmetry_rotations[1:]:
-            turn = np.eye(4)
-            turn[:3, :3] = S
-            turns.append(turn)
-        return turns
+        return [None, *self.target.symmetry_transforms[1:]]
 
     def T_lidar_target(self) -> Floats:
         """Return the likeliest pose (4, 4)."""
@@ -143,7 +134,7 @@ def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
     """
     if estimate.shared is None:
         return None
-    biased = estimate.shared.without([name for name in estimate.shared.shared if not name.startswith(RING_BIAS)])
+    biased = estimate.shared.without([error for error in estimate.shared.shared if error.ring is None])
     own = np.trace(biased.marginal(1.0).information(estimate.T_target_lidar))
     scale = float(np.sqrt(np.trace(estimate.measurement.information()) / own))
     return replace(biased, stack=biased.stack * min(scale, 1.0))

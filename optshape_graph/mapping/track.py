@@ -10,6 +10,7 @@ from optshape_graph.factors import BiasedMeasurement, TemplateMeasurement
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.priors import root_of
 from optshape_graph.mapping.sighting import Sighting
+from optshape_graph.se3 import as_transform
 from optshape_graph.target import Target
 
 
@@ -34,7 +35,7 @@ class Odometry:
     sqrt_information: Floats = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "T_i_j", frozen(self.T_i_j))
+        object.__setattr__(self, "T_i_j", as_transform(self.T_i_j, "odometry"))
         object.__setattr__(self, "covariance", frozen(self.covariance))
         object.__setattr__(self, "sqrt_information", root_of(self.covariance, "odometry"))
 
@@ -73,10 +74,16 @@ class Start:
     Attributes:
         T_world_lidar: (4, 4) its first pose.
         covariance: (6, 6) of its right perturbation, rotation first.
+
+    Raises:
+        InputError: a pose that is none.
     """
 
     T_world_lidar: Floats
     covariance: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_world_lidar", as_transform(self.T_world_lidar, "start"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,18 +1,10 @@
 """One target in one scan: association, posterior, certificate."""
 
-from __future__ import annotations
-
-from typing import Literal
-
-from optshape_graph.pose.enumerated import estimate_enumerated, refine
-from optshape_graph.pose.estimate import Ambiguity, PoseEstimate
-from optshape_graph.pose.paper import estimate_as_paper
-from optshape_graph.pose.ringless import estimate_ringless
-from optshape_graph.pose.sdp import Backend, Certificate, certify, solve_relaxation
-from optshape_graph.scan import Scan
-from optshape_graph.target import Target
-
-Method = Literal["global", "paper"]
+from optshape_graph.factors.measurement import refine
+from optshape_graph.pose.certificate import Backend, Certificate, certify, solve_relaxation
+from optshape_graph.pose.estimate import Method, estimate_pose
+from optshape_graph.pose.options import PoseOptions
+from optshape_graph.pose.result import Ambiguity, PoseEstimate
 
 __all__ = [
     "Ambiguity",
@@ -20,34 +12,9 @@ __all__ = [
     "Certificate",
     "Method",
     "PoseEstimate",
+    "PoseOptions",
     "certify",
     "estimate_pose",
     "refine",
     "solve_relaxation",
 ]
-
-
-def estimate_pose(scan: Scan, target: Target, method: Method = "global", backend: Backend = "clarabel") -> PoseEstimate:
-    """Estimate the pose of a target from its returns.
-
-    Args:
-        scan: the returns on the target and no others; its sensor, where known, gives azimuth step, noise and the
-            rings that should have hit.
-        target: the template.
-        method: "global" enumerates every consistent association of edge points to edges, finds the posterior of the
-            pose under the best of them, and certifies it; of a cloud without rings it finds the posterior over all
-            poses that contain the returns. "paper" is the alternation of Huang, Clark and Grizzle, for comparison.
-        backend: what solves the relaxation.
-
-    Returns:
-        The estimate. Its status says whether it can be used.
-
-    Raises:
-        EstimationError: the returns determine no pose at all: none, fewer than three, all on a line, no
-            azimuth step to be found.
-    """
-    if method == "paper":
-        return estimate_as_paper(scan, target, backend)
-    if scan.ring is None:
-        return estimate_ringless(scan, target, backend)
-    return estimate_enumerated(scan, target, backend)

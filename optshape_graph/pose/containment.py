@@ -1,4 +1,4 @@
-"""Poses in the plane that contain the returns: what a cloud without rings says of its target.
+"""The door of clouds without rings (Livox, flash LiDARs, merged clouds): at which poses does the target contain them?
 
 Where nothing is known of the order in which rays were fired, a return says one thing of the outline: it lies inside, to
 within the beam. If the target was sampled evenly, every pose that contains all returns is as likely as any other: the
@@ -20,10 +20,20 @@ import numpy as np
 from scipy.special import ndtr
 
 from optshape_graph._arrays import Bools, Floats
+from optshape_graph.edges import EdgePoints
+from optshape_graph.errors import EstimationError
+from optshape_graph.factors.measurement import refine, template_rows
+from optshape_graph.factors.static import RANGE_BIAS, BiasedMeasurement, SharedError
+from optshape_graph.pose.association import ReturnsPlane, fit_plane, in_plane_poses
+from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, plane_measurement, returns_on_plane
+from optshape_graph.pose.options import PoseOptions
+from optshape_graph.pose.result import Ambiguity, Finding
+from optshape_graph.scan import Scan
+from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
-STRAY = 2e-3
-"""Share of returns that may lie anywhere: mixed with the background, or of something that touches the target."""
+BANDS = (4, 16, 64, 256)
+"""Into how many bands of elevation the returns are cut, at each of several scales, each band with a range bias."""
 
 REACH = 3.0
 """Standard deviations of the beam by which a return may lie outside where poses are looked for."""
@@ -35,6 +45,105 @@ _CERTAIN = 6.0  # standard deviations inside which a return surely is
 _SPAN = 4.0  # standard deviations to either side that the second evaluation covers
 
 
+def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Finding:
+    """Find a target's pose by all poses that contain the returns; see `estimate_pose`.
+
+    Raises:
+        EstimationError: no pose contains the returns.
+    """
+    # What was measured: all returns against a plane near the target's, and where they are in it.
+    plane = fit_plane(scan.points, None)
+    returns = _with_biases(returns_on_plane(scan, plane.axes[0], plane.distance, options=options), scan)
+    q = ((returns.points - plane.centre) @ plane.axes.T)[:, 1:]
+
+    # Every connected set of poses that contain them, the likeliest first.
+    beam = Beam.of(scan, options)
+    sets = containing_poses(q, beam, target)
+    if not sets:
+        raise EstimationError(f"{scan.name}: at no pose does '{target.name}' contain the returns: not this target")
+    best = sets[0]
+    poses = in_plane_poses(np.array([one.mean[0] for one in sets]), np.array([one.mean[1:] for one in sets]), plane)
+
+    # The likeliest set and the plane in one measurement, at its minimum.
+    shared = _outline_measurement(best, plane) + plane_measurement(returns)
+    measurement = shared.marginal(1.0).at(poses[0])
+    margin, rival = (np.inf, None) if len(sets) == 1 else (best.log_mass - sets[1].log_mass, inverse(poses[1]))
+    outside = target.outside_distance(q @ _turn(best.mean[0]).T + best.mean[1:]) > REACH * (beam.sigma + beam.offset)
+    return Finding(
+        target=target,
+        returns=scan,
+        measurement=measurement.at(refine(measurement)),
+        shared=shared,
+        total_weight=float((1 / returns.sigma**2).sum() + np.trace(np.linalg.inv(best.covariance[1:, 1:]))),
+        ambiguity=Ambiguity(margin, rival),
+        log_likelihood=float(np.logaddexp.reduce([one.log_mass for one in sets]) - len(scan) * np.log(target.area)),
+        edge_points=EdgePoints.none(),
+        labels=np.zeros(0, dtype=np.int64),
+        inset=np.zeros(0),
+        edge_sigma=np.zeros(0),
+        edge_residuals=np.zeros(0),
+        objection=""
+        if outside.mean() <= options.max_outside
+        else f"{outside.mean():.0%} of the returns lie outside the outline: not this target, or returns are mixed",
+    )
+
+
+def _with_biases(returns: PlaneReturns, scan: Scan) -> PlaneReturns:
+    """Give the returns range biases at several scales.
+
+    Lasers, each with a range bias, are not told apart in the cloud, and a bias may drift with the direction: beside
+    one for all, bands of elevation, broad and narrow, stand for them. One scale alone would take the slopes within its
+    bands, or those between them, for certain.
+    """
+    elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
+    lowest, extent = float(elevation.min()), max(float(np.ptp(elevation)), 1e-9)
+    columns, errors = [returns.bias], [*returns.errors]
+    for count in BANDS:
+        band = np.minimum(((elevation - lowest) / extent * count).astype(int), count - 1)
+        found = np.unique(band)
+        columns.append(returns.bias * (band[:, None] == found) / np.sqrt(len(BANDS)))
+        limits = lowest + extent * np.column_stack([found, found + 1]) / count
+        errors += [SharedError(RANGE_BIAS, band=(low, high)) for low, high in limits.tolist()]
+    return replace(returns, bias=np.hstack(columns), errors=tuple(errors))
+
+
+def _outline_measurement(best: Containment, plane: ReturnsPlane) -> BiasedMeasurement:
+    """The posterior in the plane as whitened residuals that are linear in T_target_lidar.
+
+    With the posterior's target axes d, e in the plane, its axes a, b and its centre o, they are the turn
+    (e . R a - d . R b) / 2, which grows as its sine, and the target's (y, z) of o. The turn vanishes for mirrored and
+    opposite axes too; d . R a - 1 and e . R b - 1 tell those apart, and are of second order near the posterior.
+    """
+    o, a, b = plane.centre, plane.axes[1], plane.axes[2]
+    d, e = np.column_stack([np.zeros(2), _turn(best.mean[0]).T])
+    y, z = np.eye(3)[1:]
+
+    def axis(m: Floats, v: Floats) -> Floats:
+        """Row of m . R v: of m . (R p + t) at o + v, less that at o."""
+        ahead, here = template_rows(np.array([o + v, o]), np.array([m, m]), np.zeros(2))[0]
+        return np.asarray(ahead - here)
+
+    information = np.linalg.inv(best.covariance)
+    whiten = np.linalg.cholesky(information).T
+    centre = template_rows(np.array([o, o]), np.array([y, z]), np.zeros(2))[0]
+    turn = 0.5 * (axis(e, a) - axis(d, b))
+    way = np.sqrt(0.5 * information[0, 0]) * np.array([axis(d, a), axis(e, b)])
+    rows = np.vstack([whiten @ np.vstack([turn, centre]), way])
+    constants = np.concatenate([-whiten @ [0.0, *best.mean[1:]], -np.sqrt(0.5 * information[0, 0]) * np.ones(2)])
+    return BiasedMeasurement.from_rows(rows, np.zeros((5, 0)), constants, np.eye(4), [])
+
+
+def _turn(angle: float) -> Floats:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+def _turned(q: Floats, angles: Floats) -> Floats:
+    """(2, K, N) points (N, 2), turned by each of K angles."""
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    return np.stack([c * q[:, 0] - s * q[:, 1], s * q[:, 0] + c * q[:, 1]])
+
+
 @dataclass(frozen=True)
 class Beam:
     """How far outside the outline a return may lie.
@@ -43,10 +152,19 @@ class Beam:
         sigma: standard deviation of each return's own, metres.
         offset: standard deviation of what the returns along an edge share, metres: half of its variance is common to
             all edges, as if the target were larger or smaller, and half an edge's own.
+        stray: share of returns that may lie anywhere.
     """
 
     sigma: float
     offset: float
+    stray: float = PoseOptions.strays
+
+    @classmethod
+    def of(cls, scan: Scan, options: PoseOptions) -> Beam:
+        """Take the sensor's beam at the returns' median range."""
+        noise = EdgeNoise.of(scan.sensor, options)
+        width = float(np.median(noise.width(np.linalg.norm(scan.points, axis=1))))
+        return cls(float(np.hypot(options.flatness, noise.OWN * width)), noise.COMMON * width, options.strays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +194,7 @@ def containing_poses(q: Floats, beam: Beam, target: Target) -> list[Containment]
         One posterior for each set, the most likely first; none where no pose contains the returns. Poses that a
         symmetry of the target turns into another's are listed once.
     """
-    strays = int(STRAY * len(q))
+    strays = int(beam.stray * len(q))
     outer = q[_outermost(q, strays + 4)]
     room = _room(q, strays, target) + REACH * (beam.sigma + beam.offset)
     sets = [_posterior(outer, beam, target, arc, strays) for arc in _arcs(room, target)]
@@ -93,9 +211,7 @@ def _outermost(q: Floats, count: int) -> Bools:
 
 def _support(q: Floats, angles: Floats, strays: int, target: Target) -> Floats:
     """(K, n) how far the returns, turned by each angle, reach along each edge's normal, `strays` of them left out."""
-    c, s = np.cos(angles), np.sin(angles)
-    turned = np.stack([c[:, None] * q[:, 0] - s[:, None] * q[:, 1], s[:, None] * q[:, 0] + c[:, None] * q[:, 1]])
-    along = np.einsum("ne,ekm->knm", target.normals, turned)
+    along = np.einsum("ne,ekm->knm", target.normals, _turned(q, angles))
     return np.asarray(np.partition(along, len(q) - 1 - strays, axis=2)[:, :, len(q) - 1 - strays])
 
 
@@ -158,7 +274,7 @@ def _posterior(outer: Floats, beam: Beam, target: Target, arc: tuple[float, floa
     share = beam.offset / np.sqrt(2)
 
     def moments(shift: Floats | float) -> Containment:
-        return _moments(outer, beam.sigma, target.normals, target.offsets + shift, angles, low, high)
+        return _moments(outer, beam, target.normals, target.offsets + shift, angles, low, high)
 
     coarse = moments(common)
     n = len(target)
@@ -166,9 +282,8 @@ def _posterior(outer: Floats, beam: Beam, target: Target, arc: tuple[float, floa
     half[0] = min(half[0], np.pi / len(target.symmetries))
     angles = coarse.mean[0] + np.linspace(-half[0], half[0], _GRID[0])
     box = np.broadcast_to(half[1:], (len(angles), 2))
-    c, s = np.cos(coarse.mean[0]), np.sin(coarse.mean[0])
     moved = np.hypot(*half[1:]) + half[0] * np.linalg.norm(outer, axis=1) + REACH * beam.offset * np.sqrt(n)
-    outside = target.outside_distance(outer @ np.array([[c, s], [-s, c]]) + coarse.mean[1:])
+    outside = target.outside_distance(outer @ _turn(coarse.mean[0]).T + coarse.mean[1:])
     outer = outer[outside + moved > -_CERTAIN * beam.sigma]  # the others are inside at every pose
     low, high = coarse.mean[1:] - box, coarse.mean[1:] + box
     shifts = share * np.sqrt(n) * np.vstack([np.eye(n), -np.eye(n)])
@@ -208,22 +323,20 @@ def _bounding_box(b: Floats, normals: Floats) -> tuple[Floats, Floats]:
 
 
 def _moments(
-    outer: Floats, sigma: float, normals: Floats, offsets: Floats, angles: Floats, low: Floats, high: Floats
+    outer: Floats, beam: Beam, normals: Floats, offsets: Floats, angles: Floats, low: Floats, high: Floats
 ) -> Containment:
     """Mass, mean and covariance of the likelihood on a grid: angles (K,), and translations between low and high."""
     fractions = [(np.arange(n) + 0.5) / n for n in _GRID[1:]]
     cells = np.stack(np.meshgrid(*fractions, indexing="ij"), axis=-1).reshape(-1, 2)
     t = low[:, None] + cells * (high - low)[:, None]
-    c, s = np.cos(angles), np.sin(angles)
-    turned = np.stack([c[:, None] * outer[:, 0] - s[:, None] * outer[:, 1],
-                       s[:, None] * outer[:, 0] + c[:, None] * outer[:, 1]])  # fmt: skip
+    turned = _turned(outer, angles)
     outside = np.full((len(angles), len(cells), len(outer)), -np.inf)
     for n, offset in zip(normals, offsets, strict=True):
         along = np.einsum("e,ekm->km", n, turned) - offset
         np.maximum(outside, (t @ n)[..., None] + along[:, None], out=outside)
     log_inside = np.zeros(outside.shape)
-    near = outside > -_CERTAIN * sigma
-    log_inside[near] = np.log(STRAY + (1.0 - STRAY) * ndtr(-outside[near] / sigma))
+    near = outside > -_CERTAIN * beam.sigma
+    log_inside[near] = np.log(beam.stray + (1.0 - beam.stray) * ndtr(-outside[near] / beam.sigma))
     log_cell = np.log(np.maximum(np.prod(high - low, axis=1), 1e-18))[:, None]
     log_weight = log_inside.sum(axis=-1) + log_cell
     top = float(log_weight.max())

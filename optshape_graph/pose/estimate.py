@@ -1,190 +1,125 @@
-"""The pose of one target from its returns in one scan."""
+"""The pose of one target from its returns in one scan: find it by one of three doors, and conclude."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints, frozen
-from optshape_graph.edges import EdgePoints
-from optshape_graph.factors.measurement import TemplateMeasurement
-from optshape_graph.factors.se3 import adjoint, inverse, inverse_covariance
-from optshape_graph.factors.static import BiasedMeasurement
-from optshape_graph.pose.sdp import Certificate
+from optshape_graph._arrays import Floats
+from optshape_graph.errors import InputError
+from optshape_graph.pose.certificate import Backend, certify
+from optshape_graph.pose.containment import find_by_containment
+from optshape_graph.pose.options import PoseOptions
+from optshape_graph.pose.paper import find_as_paper
+from optshape_graph.pose.result import Finding, PoseEstimate, Status
+from optshape_graph.pose.rings import find_by_rings
+from optshape_graph.scan import Scan
+from optshape_graph.se3 import inverse, inverse_covariance
 from optshape_graph.target import Target
 
-AMBIGUITY_MARGIN = 5.0
-"""Below this difference of log likelihoods a different pose cannot be ruled out: odds of 150 to 1 for the better.
-
-Over scans with angular noise the evidence means what it says: the share of wrong choices is the mean of
-1 / (1 + exp(margin)) (tests/benchmarks/test_evidence.py).
-"""
-
-UNOBSERVABLE_SD = 0.4
-"""Standard deviation, rad or target radii, beyond which a direction counts as not observable."""
-
-Status = Literal["ok", "ambiguous", "failed"]
+Method = Literal["global", "paper"]
 
 _DIRECTIONS = ("rotation about x", "rotation about y", "rotation about z",
                "translation along x", "translation along y", "translation along z")  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Ambiguity:
-    """How much better the pose is than the best different one.
+def estimate_pose(
+    scan: Scan,
+    target: Target,
+    method: Method = "global",
+    backend: Backend = "clarabel",
+    options: PoseOptions = PoseOptions(),
+) -> PoseEstimate:
+    """Estimate the pose of a target from its returns.
 
-    Attributes:
-        margin: difference of log likelihoods, infinite where no different pose was found.
-        T_lidar_target: (4, 4) that pose, or None.
-    """
-
-    margin: float
-    T_lidar_target: Floats | None
-
-
-@dataclass(frozen=True, eq=False)
-class PoseEstimate:
-    """The pose of a target in a scan, and how far to believe it.
-
-    Attributes:
+    Args:
+        scan: the returns on the target and no others; its sensor, where known, gives azimuth step, noise and the
+            rings that should have hit.
         target: the template.
-        T_lidar_target: (4, 4).
-        covariance: (6, 6) of the right perturbation of T_lidar_target: rotation first, in the target's frame.
-        status: "ok"; "ambiguous" where a different pose is not ruled out; "failed" where it is not to be used.
-        reason: why not "ok", else empty.
-        measurement: all whitened residuals, compressed: what factors are made of.
-        shared: the same before the errors that scans of one static scene share (ring biases, edge offset) are
-            marginalised, for `fuse_static`; each in units of its standard deviation. None for `method="paper"`.
-        certificate: of global optimality, for the association and the weights used.
-        global_association: every consistent association was considered.
-        ambiguity: margin to the best different pose.
-        log_likelihood: logarithm of the evidence for the target at this pose, up to a constant of the scan: what tells
-            targets of different shapes apart. Not a number for `method="paper"`.
-        edge_points: the ring ends used.
-        labels: (M,) edge of each edge point.
-        inset: (M,) azimuth by which the boundary is taken to lie beyond each edge point, rad.
-        edge_sigma: (M,) standard deviation of each edge residual, metres.
-        edge_residuals: (M,) distance of each boundary point from its edge, metres, positive outside.
-        plane_rms: root mean square distance of the returns from the target's plane, metres.
-        n_returns: number of returns.
-        unobservable: directions, in the target's frame, that the scan does not determine.
+        method: "global" enumerates every consistent association of edge points to edges, finds the posterior of the
+            pose under the best of them, and certifies it; of a cloud without rings it finds the posterior over all
+            poses that contain the returns. "paper" is the alternation of Huang, Clark and Grizzle, for comparison.
+        backend: what solves the relaxation: "clarabel", or "cvxpy" as the modelling layer above it.
+        options: assumptions and thresholds.
+
+    Returns:
+        The estimate. Its status says whether it can be used.
+
+    Raises:
+        InputError: a method or a backend that does not exist.
+        EstimationError: the returns determine no pose at all: none, fewer than three, all on a line, no
+            azimuth step to be found.
     """
-
-    target: Target
-    T_lidar_target: Floats
-    covariance: Floats
-    status: Status
-    reason: str
-    measurement: TemplateMeasurement
-    shared: BiasedMeasurement | None
-    certificate: Certificate
-    global_association: bool
-    ambiguity: Ambiguity
-    log_likelihood: float
-    edge_points: EdgePoints
-    labels: Ints
-    inset: Floats
-    edge_sigma: Floats
-    edge_residuals: Floats
-    plane_rms: float
-    n_returns: int
-    unobservable: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        for field in ("T_lidar_target", "covariance", "inset", "edge_sigma", "edge_residuals"):
-            object.__setattr__(self, field, frozen(getattr(self, field)))
-        object.__setattr__(self, "labels", frozen(self.labels, np.int64))
-
-    @property
-    def T_target_lidar(self) -> Floats:
-        """(4, 4) inverse of T_lidar_target."""
-        return inverse(self.T_lidar_target)
-
-    @property
-    def covariance_target_lidar(self) -> Floats:
-        """(6, 6) of the right perturbation of T_target_lidar: rotation first, in the LiDAR's frame."""
-        return inverse_covariance(self.T_lidar_target, self.covariance)
-
-    @property
-    def vertices(self) -> Floats:
-        """(n, 3) vertices, LiDAR frame, metres."""
-        return np.asarray(self.target.vertices @ self.T_lidar_target[:3, :3].T + self.T_lidar_target[:3, 3])
-
-    @property
-    def vertex_covariances(self) -> Floats:
-        """(n, 3, 3) covariance of each vertex, LiDAR frame, square metres."""
-        R = self.T_lidar_target[:3, :3]
-        J = np.array([R @ np.hstack([-_skew(v), np.eye(3)]) for v in self.target.vertices])
-        return np.asarray(J @ self.covariance @ np.swapaxes(J, 1, 2))
-
-    @property
-    def edge_lines(self) -> tuple[Floats, Floats]:
-        """A point (n, 3), metres, and the unit direction (n, 3) of each edge, LiDAR frame."""
-        start = self.vertices
-        along = np.roll(start, -1, axis=0) - start
-        return start, along / np.linalg.norm(along, axis=1, keepdims=True)
-
-    @property
-    def plane(self) -> Floats:
-        """(4,) plane of the target, LiDAR frame: n . p + d = 0, n the target's +x, away from the sensor."""
-        normal = self.T_lidar_target[:3, 0]
-        return np.append(normal, -normal @ self.T_lidar_target[:3, 3])
-
-    @property
-    def equivalent_poses(self) -> Floats:
-        """(S, 4, 4) T_lidar_target of every pose that a symmetric target cannot tell apart, this one first."""
-        poses = np.tile(self.T_lidar_target, (len(self.target.symmetries), 1, 1))
-        poses[:, :3, :3] = self.T_lidar_target[:3, :3] @ np.array(self.target.symmetry_rotations)
-        return poses
-
-    def equivalent(self, k: int) -> PoseEstimate:
-        """Return this estimate with the vertices named otherwise: `equivalent_poses[k]`, and all that goes with it."""
-        turn = np.eye(4)
-        turn[:3, :3] = self.target.symmetry_rotations[k]
-        Ad = adjoint(inverse(turn))
-        normals = self.target.normals @ turn[1:3, 1:3]  # of each edge, in the turned target's frame
-        renamed = (normals @ self.target.normals.T).argmax(axis=1)
-        return replace(
-            self,
-            T_lidar_target=self.T_lidar_target @ turn,
-            covariance=Ad @ self.covariance @ Ad.T,
-            measurement=self.measurement.substituted(turn),
-            shared=None,
-            labels=renamed[self.labels],
-        )
-
-    @property
-    def inset_rad(self) -> float:
-        """Median azimuth from an edge point to the target's edge, along its ring, rad; without rings not a number."""
-        if not len(self.labels):
-            return float("nan")
-        outward = self.edge_points.outward(self.T_lidar_target[:3, 0])
-        normal = np.column_stack([np.zeros(len(self.labels)), self.target.normals[self.labels]])
-        R = self.T_target_lidar[:3, :3]
-        speed = ((outward @ R.T) * normal).sum(axis=1)
-        usable = np.abs(speed) > 0.1 * np.linalg.norm(outward, axis=1)
-        to_edge = self.inset - self.edge_residuals / np.where(usable, speed, np.inf)
-        return float(np.median(to_edge[usable])) if usable.any() else float(np.median(self.inset))
+    for name, value, choices in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
+        if value not in choices:
+            raise InputError(f"{name} is {value!r}; expected one of {', '.join(map(repr, choices))}")
+    if method == "paper":
+        found = find_as_paper(scan, target, backend)
+    elif scan.ring is None:
+        found = find_by_containment(scan, target, options)
+    else:
+        found = find_by_rings(scan, target, options)
+    return conclude(found, backend, options)
 
 
-def unobservable_directions(covariance: Floats, size: float) -> tuple[str, ...]:
+def conclude(found: Finding, backend: Backend, options: PoseOptions) -> PoseEstimate:
+    """Certify what was found, judge it, and make the record: the same for every method."""
+    measurement = found.measurement
+    T_target_lidar = measurement.T_target_lidar
+    T_lidar_target = inverse(T_target_lidar)
+    information = measurement.information() + 1e-9 * np.eye(6)
+    covariance = inverse_covariance(T_target_lidar, np.linalg.inv(information))
+    unobservable = unobservable_directions(covariance, found.target.circumradius, options.unobservable_sd)
+    status, reason = _verdict(found, unobservable, options)
+    off_plane = found.returns.points @ T_target_lidar[0, :3] + T_target_lidar[0, 3]
+    return PoseEstimate(
+        target=found.target,
+        T_lidar_target=T_lidar_target,
+        covariance=covariance,
+        status=status,
+        reason=reason,
+        measurement=measurement,
+        shared=found.shared,
+        certificate=certify(measurement, T_target_lidar, found.total_weight, backend, options.certified_gap),
+        ambiguity=found.ambiguity,
+        log_likelihood=found.log_likelihood,
+        edge_points=found.edge_points,
+        labels=found.labels,
+        inset=found.inset,
+        edge_sigma=found.edge_sigma,
+        edge_residuals=found.edge_residuals,
+        plane_rms=float(np.sqrt(np.mean(off_plane**2))),
+        n_returns=len(found.returns),
+        unobservable=unobservable,
+    )
+
+
+def _verdict(found: Finding, unobservable: tuple[str, ...], options: PoseOptions) -> tuple[Status, str]:
+    """Status and reason, the weightiest first."""
+    if found.objection:
+        return "failed", found.objection
+    if unobservable:
+        return "failed", "not observable: " + "; ".join(unobservable)
+    if found.ambiguity.margin < options.ambiguity_margin:
+        margin = found.ambiguity.margin
+        return "ambiguous", f"a different pose is only {margin:.2g} less likely (log likelihood)"
+    return "ok", ""
+
+
+def unobservable_directions(covariance: Floats, size: float, largest_sd: float) -> tuple[str, ...]:
     """Name what a pose's covariance leaves undetermined.
 
     Args:
         covariance: (6, 6), rotation first.
         size: metres that count as one radian: the target's radius.
+        largest_sd: standard deviation, rad or sizes, beyond which a direction is undetermined.
     """
     scale = np.array([1.0, 1.0, 1.0, size, size, size])
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     names = []
     for value, vector in zip(values, vectors.T, strict=True):
-        if value > UNOBSERVABLE_SD**2:
+        if value > largest_sd**2:
             parts = [_DIRECTIONS[k] for k in np.argsort(-np.abs(vector)) if abs(vector[k]) > 0.4]
             names.append(" with ".join(parts))
     return tuple(names)
-
-
-def _skew(v: Floats) -> Floats:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

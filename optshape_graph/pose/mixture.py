@@ -14,7 +14,7 @@ from scipy.special import gammaln, logsumexp
 from scipy.spatial.transform import Rotation
 
 from optshape_graph._arrays import Floats
-from optshape_graph.factors.se3 import skew
+from optshape_graph.se3 import skew
 
 FREEDOM = 5.0
 """Degrees of freedom of the components: their tails are heavy."""

@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats
 from optshape_graph.factors.measurement import template_rows
-from optshape_graph.factors.static import BiasedMeasurement
+from optshape_graph.factors.static import RANGE_BIAS, BiasedMeasurement, SharedError
+from optshape_graph.pose.options import PoseOptions
+from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
-
-FLATNESS = 1e-3
-"""Standard deviation, metres, of what no sensor file states: how flat and how true to its drawing a target is."""
-
-LOST_RETURNS = 0.1
-"""Share of ring ends whose return is not within a step of the edge: lost at the edge, or mixed with the background."""
-
-LOST_RETURNS_OF_RAYS = 0.02
-"""The same of a beam without width, which no edge splits."""
-
-LOST_SPAN = (-1.0, 3.0)
-"""Where those lie, in azimuth steps inside the edge."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +26,12 @@ class EdgeNoise:
     Attributes:
         divergence: full angle of the beam, rad.
         aperture: width of the beam where it leaves the sensor, metres.
-        floor: standard deviation across the edge of any narrower beam, metres.
+        options: of them the target's flatness, and which ring ends are lost.
     """
 
     divergence: float
     aperture: float
-    floor: float
+    options: PoseOptions
 
     COMMON = 1 / np.sqrt(12)
     """Standard deviation of the offset that all edge points of a scan share, in beam widths."""
@@ -51,21 +40,15 @@ class EdgeNoise:
     """Standard deviation of each edge point's own offset, in beam widths."""
 
     @classmethod
-    def of(cls, sensor: SensorModel | None) -> EdgeNoise:
+    def of(cls, sensor: SensorModel | None, options: PoseOptions = PoseOptions()) -> EdgeNoise:
         """Take the beam of a sensor; an unknown one has a beam of 3 mrad, a centimetre wide at first."""
-        if sensor is None:
-            return cls(3e-3, 0.01, FLATNESS)
-        return cls(sensor.beam_divergence, sensor.beam_aperture, FLATNESS)
+        beam = (sensor.beam_divergence, sensor.beam_aperture) if sensor else (3e-3, 0.01)
+        return cls(*beam, options)
 
     @property
     def ideal(self) -> bool:
         """Whether the beam has no width, so that it ends where the target does."""
         return self.divergence + self.aperture == 0
-
-    @property
-    def lost(self) -> float:
-        """Share of ring ends whose return is not within a step of the edge."""
-        return LOST_RETURNS_OF_RAYS if self.ideal else LOST_RETURNS
 
     def width(self, ranges: Floats) -> Floats:
         """Width of the beam at ranges (...), metres; an ideal beam's still is a tenth of a millimetre."""
@@ -128,48 +111,50 @@ class PlaneReturns:
         points: (N, 3) p, metres, LiDAR frame.
         offset: (N,) c, metres.
         sigma: (N,) standard deviation of each residual, metres.
-        rings: (R,) the rings that hit the target.
-        bias: (N, R) how far a standard deviation of each ring's bias moves each residual, in units of `sigma`.
+        errors: (K,) what the returns share: the range bias of each ring that hit the target.
+        bias: (N, K) how far a standard deviation of each moves each residual, in units of `sigma`.
         coupling: (N, 3) covariance of each residual with its p, square metres: an azimuth error moves both.
     """
 
     points: Floats
     offset: Floats
     sigma: Floats
-    rings: Ints
+    errors: tuple[SharedError, ...]
     bias: Floats
     coupling: Floats
 
 
 def returns_on_plane(
-    points: Floats, ring: Ints | None, normal: Floats, distance: float, sensor: SensorModel | None, azimuth_noise: float
+    scan: Scan, normal: Floats, distance: float, azimuth_noise: float = 0.0, options: PoseOptions = PoseOptions()
 ) -> PlaneReturns:
     """Set returns against a plane near the target's.
 
     Args:
-        points: (N, 3) metres, LiDAR frame.
-        ring: (N,), or None: one bias for all.
+        scan: the returns of one target; without rings, all have one bias. Its sensor has range noise and ring bias; an
+            unknown one a centimetre each.
         normal: (3,) unit normal of the plane, LiDAR frame.
         distance: of the plane from the sensor along the normal, metres.
-        sensor: its range noise and ring bias; None: a centimetre each.
         azimuth_noise: standard deviation of one azimuth, rad.
+        options: their flatness is that of the target.
     """
+    points, sensor = scan.points, scan.sensor
     range_noise, ring_bias = (sensor.range_noise, sensor.ring_bias) if sensor else (0.01, 0.01)
     along = points @ normal
     cosine = np.abs(along) / np.linalg.norm(points, axis=1)
     turning = np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
     sideways = turning @ normal  # off the plane, metres per radian of azimuth
-    sigma = np.sqrt((range_noise * cosine) ** 2 + (azimuth_noise * sideways) ** 2 + FLATNESS**2)
-    rings, column = np.unique(np.zeros(len(points), int) if ring is None else ring, return_inverse=True)
+    sigma = np.sqrt((range_noise * cosine) ** 2 + (azimuth_noise * sideways) ** 2 + options.flatness**2)
+    rings, column = np.unique(np.zeros(len(points), int) if scan.ring is None else scan.ring, return_inverse=True)
     bias = np.zeros((len(points), len(rings)))
     bias[np.arange(len(points)), column] = ring_bias * cosine / sigma
+    errors = tuple(SharedError(RANGE_BIAS, ring=None if scan.ring is None else int(ring)) for ring in rings)
     in_plane = turning - points * (sideways / along)[:, None]
     coupling = azimuth_noise**2 * sideways[:, None] * in_plane
-    return PlaneReturns(points * (distance / along)[:, None], distance - along, sigma, rings, bias, coupling)
+    return PlaneReturns(points * (distance / along)[:, None], distance - along, sigma, errors, bias, coupling)
 
 
-def plane_measurement(returns: PlaneReturns, names: Sequence[str]) -> BiasedMeasurement:
-    """Returns against the target's plane, before the bias of each ring, in standard deviations, is marginalised.
+def plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
+    """Returns against the target's plane, before the errors that they share, in standard deviations, are marginalised.
 
     Where a residual and its row's coefficients err together, the gradient has a mean at the true pose, the sum of their
     covariances; the constants take it out.
@@ -180,4 +165,4 @@ def plane_measurement(returns: PlaneReturns, names: Sequence[str]) -> BiasedMeas
     mean, _ = template_rows(returns.coupling, normals, returns.offset)
     mean[:, 9:] = 0.0
     r = r - A @ np.linalg.lstsq(A.T @ A, (mean / returns.sigma[:, None] ** 2).sum(axis=0), rcond=1e-12)[0]
-    return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4), shared=names)
+    return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4), returns.errors)

@@ -1,4 +1,4 @@
-"""The method of Huang, Clark and Grizzle (Section V), for comparison.
+"""The door of the published method, for comparison: that of Huang, Clark and Grizzle (Section V).
 
 Edge points are the two ends of each ring (one where the ring has one return), unweighted and without an inset. In
 every iteration the already moved edge points are centred on their own mean, each is matched to the nearest infinite
@@ -9,25 +9,24 @@ residuals alone, says nothing of that.
 
 from __future__ import annotations
 
-import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import extract_edge_points
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import TemplateMeasurement, edge_rows, plane_rows
-from optshape_graph.factors.se3 import inverse, inverse_covariance
-from optshape_graph.pose.estimate import Ambiguity, PoseEstimate, unobservable_directions
-from optshape_graph.pose.sdp import Backend, certify, solve_relaxation
+from optshape_graph.pose.certificate import Backend, solve_relaxation
+from optshape_graph.pose.result import Ambiguity, Finding
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import apply, difference, transform
 from optshape_graph.target import Target
 
 MAX_ITERATIONS = 15
 TOLERANCE = 1e-5
 
 
-def estimate_as_paper(scan: Scan, target: Target, backend: Backend = "clarabel") -> PoseEstimate:
-    """Estimate a target's pose as the paper does; see `estimate_pose`.
+def find_as_paper(scan: Scan, target: Target, backend: Backend) -> Finding:
+    """Find a target's pose as the paper does; see `estimate_pose`.
 
     Raises:
         EstimationError: fewer than three edge points.
@@ -39,37 +38,25 @@ def estimate_as_paper(scan: Scan, target: Target, backend: Backend = "clarabel")
         raise EstimationError(f"{scan.name}: {len(points)} edge points determine no pose")
     T = _alternate(points, target, backend)
 
-    labels = nearest_lines(_moved(T, points), target)
-    measurement = _measurement(points, labels, target, T)
+    measurement = _measurement(points, nearest_lines(apply(T, points), target), target, T)
     # The residuals are the only word on the noise that this method has.
     sigma = max(1e-4, float(np.sqrt(2 * measurement.error(T) / max(measurement.n_rows - 6, 1))))
     measurement = TemplateMeasurement.from_stack(measurement.stack / sigma, measurement.n_rows, T)
-    certificate = certify(measurement, T, measurement.n_rows / sigma**2, backend)
-    information = measurement.information(T) + 1e-9 * np.eye(6)
-    covariance = inverse_covariance(T, np.linalg.inv(information))
-    all_labels = nearest_lines(_moved(T, edges.points), target)
-    moved = _moved(T, edges.points)
-    unobservable = unobservable_directions(covariance, target.circumradius)
-    return PoseEstimate(
+    moved = apply(T, edges.points)
+    labels = nearest_lines(moved, target)
+    return Finding(
         target=target,
-        T_lidar_target=inverse(T),
-        covariance=covariance,
-        status="failed" if unobservable else "ok",
-        reason="not observable: " + "; ".join(unobservable) if unobservable else "",
+        returns=scan,
         measurement=measurement,
         shared=None,
-        certificate=certificate,
-        global_association=False,
-        log_likelihood=np.nan,
+        total_weight=measurement.n_rows / sigma**2,
         ambiguity=Ambiguity(np.inf, None),
+        log_likelihood=np.nan,
         edge_points=edges,
-        labels=all_labels,
+        labels=labels,
         inset=np.zeros(len(edges)),
         edge_sigma=np.full(len(edges), sigma),
-        edge_residuals=(target.normals[all_labels] * moved[:, 1:]).sum(axis=1) - target.offsets[all_labels],
-        plane_rms=float(np.sqrt(np.mean(_moved(T, scan.points)[:, 0] ** 2))),
-        n_returns=len(scan),
-        unobservable=unobservable,
+        edge_residuals=(target.normals[labels] * moved[:, 1:]).sum(axis=1) - target.offsets[labels],
     )
 
 
@@ -82,17 +69,16 @@ def nearest_lines(points: Floats, target: Target) -> Ints:
 def _alternate(points: Floats, target: Target, backend: Backend) -> Floats:
     T, previous, cost = np.eye(4), np.eye(4), np.inf
     for iteration in range(MAX_ITERATIONS):
-        moved = _moved(T, points)
-        centring = np.eye(4)
-        centring[:3, 3] = -moved.mean(axis=0)
-        centred = _moved(centring, moved)
+        moved = apply(T, points)
+        centring = transform(np.eye(3), -moved.mean(axis=0))
+        centred = apply(centring, moved)
         measurement = _measurement(centred, nearest_lines(centred, target), target, np.eye(4))
         relaxation = solve_relaxation(measurement.quadratic(), backend)
         increment = np.eye(4)
         if relaxation.cost < cost:
             cost, increment = relaxation.cost, relaxation.T_target_lidar
             T = increment @ centring @ T
-        change = gtsam.Pose3.Logmap(gtsam.Pose3(inverse(previous) @ increment))
+        change = difference(previous, increment)
         if iteration and np.linalg.norm(change) < TOLERANCE:
             break
         previous = increment
@@ -103,7 +89,3 @@ def _measurement(points: Floats, labels: Ints, target: Target, T: Floats) -> Tem
     A, r = edge_rows(points, target.normals[labels], target.offsets[labels])
     A_plane, r_plane = plane_rows(points)
     return TemplateMeasurement.from_rows(np.vstack([A, A_plane]), np.concatenate([r, r_plane]), T)
-
-
-def _moved(T: Floats, points: Floats) -> Floats:
-    return np.asarray(points @ T[:3, :3].T + T[:3, 3])

@@ -1,8 +1,10 @@
 """The posterior of a target's pose, by expectation propagation over its edge points.
 
-Each edge point says that the boundary lies in an interval along its ring (`intervals`), which is no Gaussian. What
-it says *together with all others* is close to one: expectation propagation (Minka, 2001) finds for each edge point the
-Gaussian that stands for its interval in the company of the rest. The result is both an estimate, the posterior mean,
+A ring's last return lies inside the true edge by an azimuth that is uniform over one step: the phase of the firing. A
+few lie elsewhere (returns lost at the edge, mixed pixels). So each edge point says that the boundary lies in an
+interval along its ring, a mixture of two uniforms, which is no Gaussian. What it says *together with all others* is
+close to one: expectation propagation (Minka, 2001) finds for each edge point the Gaussian that stands for its interval
+in the company of the rest, by the moments of truncated Gaussians. The result is both an estimate, the posterior mean,
 and a weighted least-squares problem with that solution: each edge point has an inset, the distance to the boundary, and
 a standard deviation.
 
@@ -13,16 +15,18 @@ worked on at once.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
-import gtsam
 import numpy as np
+from scipy.special import log_ndtr
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import EdgePoints
-from optshape_graph.factors.se3 import vec, vec_derivative
-from optshape_graph.pose.intervals import mixture_moments
-from optshape_graph.pose.noise import LOST_RETURNS, LOST_SPAN, EdgeNoise, outermost_return
+from optshape_graph.pose.noise import EdgeNoise, outermost_return
+from optshape_graph.se3 import exp, vec, vec_derivative
 from optshape_graph.target import Target
 
 _WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])
@@ -31,9 +35,10 @@ _WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])
 _LARGEST_STEP = 0.15
 """Rotation by which a relinearisation moves a pose at most, rad."""
 
+_DAMPING = 0.8
+"""Share of each update of an edge point that is taken."""
 
-_SETTLED = 1e-3
-"""Relative change of every edge point's precision below which more sweeps change nothing."""
+_LOG_SQRT_2PI = 0.5 * np.log(2 * np.pi)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +57,23 @@ class Problem:
     plane: Floats
     noise: EdgeNoise
 
+    @cached_property
+    def ring_shifts(self) -> Floats:
+        """(M, K) outward motion, rad, of each edge point for a standard deviation of each noisy ring's shift."""
+        edges = self.edges
+        noisy = np.unique(edges.ring[edges.shift > 0])
+        return np.asarray((edges.ring[:, None] == noisy) * (edges.side * edges.shift)[:, None])
+
+    @cached_property
+    def intervals(self) -> Floats:
+        """(2, 2, M) ends of where the boundary may be beyond each edge point, rad.
+
+        First for a ring's last return; then for an end that is not its last return.
+        """
+        edges, (first, last) = self.edges, self.noise.options.lost_span
+        step = np.maximum(edges.width, edges.azimuth_step)
+        return np.array([[edges.lower, edges.upper], [edges.lower + first * step, edges.lower + last * step]])
+
 
 @dataclass(frozen=True, eq=False)
 class EdgeGeometry:
@@ -65,7 +87,7 @@ class EdgeGeometry:
         along: (C, M) how fast it grows along the ring, outwards, metres per radian.
         across: (C, M) how fast it grows with the offset across the edge, metres per beam width.
         shift: (C, M) how much further out the last return lies than a single ray would, metres.
-        scatter: (C, M) its own scatter across the edge, relative to that of a single ray.
+        own: (C, M) variance across the edge that is each edge point's own, quantisation apart, m2.
     """
 
     labels: Ints
@@ -74,7 +96,7 @@ class EdgeGeometry:
     along: Floats
     across: Floats
     shift: Floats
-    scatter: Floats
+    own: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +112,8 @@ class Posterior:
         inset: (C, M) distance along the ring from each edge point to the boundary, rad, offset and shift apart.
         shift: (C, M) outward motion of each edge point with its ring, where azimuths are noisy, rad.
         sigma: (C, M) standard deviation across the edge, metres, that stands for each interval.
-        log_evidence: (C,) logarithm of the probability of the edge points, up to a constant of the scan.
+        log_likelihood: (C,) logarithm of the probability of the edge points, and of what else of the scan was taken
+            into account, up to a constant of the scan.
     """
 
     T_target_lidar: Floats
@@ -101,24 +124,27 @@ class Posterior:
     inset: Floats
     shift: Floats
     sigma: Floats
-    log_evidence: Floats
+    log_likelihood: Floats
 
     def select(self, index: Ints | slice) -> Posterior:
         """Return some of the posteriors: a slice of them, or those at indices (K,)."""
-        geometry = EdgeGeometry(**{name: value[index] for name, value in vars(self.geometry).items()})
-        rest = {name: value[index] for name, value in vars(self).items() if name != "geometry"}
-        return Posterior(geometry=geometry, **rest)
+        return _made(lambda values: values[0][index], self)
 
 
 def concatenate(a: Posterior, b: Posterior) -> Posterior:
     """Return the posteriors of both."""
+    return _made(np.concatenate, a, b)
 
-    def both(name: str, one: object, other: object) -> Floats:
-        return np.concatenate([getattr(one, name), getattr(other, name)])
 
-    geometry = EdgeGeometry(**{name: both(name, a.geometry, b.geometry) for name in vars(a.geometry)})  # type: ignore[arg-type]  # all are arrays
-    rest = {name: both(name, a, b) for name in vars(a) if name != "geometry"}
-    return Posterior(geometry=geometry, **rest)
+def _made(make: Callable[[list[Floats]], Floats], *posteriors: Posterior) -> Posterior:
+    """Make each array of a posterior, those of its geometry included, of the same arrays of some others."""
+
+    def arrays(records: Sequence[Posterior | EdgeGeometry]) -> dict[str, Any]:
+        names = [name for name in vars(records[0]) if name != "geometry"]
+        return {name: make([getattr(record, name) for record in records]) for name in names}
+
+    geometry = EdgeGeometry(**arrays([posterior.geometry for posterior in posteriors]))
+    return Posterior(geometry=geometry, **arrays(posteriors))
 
 
 def edge_geometry(problem: Problem, T: Floats, labels: Ints | None = None) -> EdgeGeometry:
@@ -150,7 +176,9 @@ def edge_geometry(problem: Problem, T: Floats, labels: Ints | None = None) -> Ed
         along=along,
         across=across,
         shift=shift,
-        scatter=scatter,
+        own=problem.noise.options.flatness**2
+        + (problem.noise.OWN * scatter * across) ** 2
+        + (edges.scatter * along) ** 2,
     )
 
 
@@ -191,49 +219,62 @@ def propagate(
         step, posterior = _sweep(problem, T, geometry, offset, inset, spread, sweeps)
         inset, offset = posterior.inset, posterior.offset
         along = np.maximum(np.abs(geometry.along), 1e-3 * np.linalg.norm(problem.edges.points, axis=1))
-        spread = np.maximum(posterior.sigma**2 - own_variance(problem, geometry), 1e-8 * along**2 * width**2) / along**2
+        spread = np.maximum(posterior.sigma**2 - geometry.own, 1e-8 * along**2 * width**2) / along**2
         largest = np.abs(step[:, :3]).max(axis=1, initial=0.0)
-        T = T @ _exp(step * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))[:, None])
+        T = T @ exp(step * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))[:, None])
     return replace(posterior, T_target_lidar=T)
 
 
-def own_variance(problem: Problem, geometry: EdgeGeometry) -> Floats:
-    """(C, M) variance across the edge that is each edge point's own, quantisation apart, m2."""
-    along = problem.edges.scatter * geometry.along
-    return np.asarray(problem.noise.floor**2 + (problem.noise.OWN * geometry.scatter * geometry.across) ** 2 + along**2)
+@dataclass(frozen=True, eq=False)
+class Step:
+    """The Gaussian posterior of a step of C sets of K unknowns, and the Gaussians that stand for the intervals.
+
+    Attributes:
+        mean: (C, K).
+        covariance: (C, K, K).
+        precision: (C, M) of the Gaussian in the residual that stands for each interval, 1/m2.
+        information: (C, M) its mean times its precision, 1/m.
+        log_evidence: (C,) logarithm of the probability of the edge points.
+    """
+
+    mean: Floats
+    covariance: Floats
+    precision: Floats
+    information: Floats
+    log_evidence: Floats
 
 
-def ring_shifts(edges: EdgePoints) -> Floats:
-    """(M, K) outward motion, rad, of each edge point for a standard deviation of each noisy ring's shift."""
-    noisy = np.unique(edges.ring[edges.shift > 0])
-    return np.asarray((edges.ring[:, None] == noisy) * (edges.side * edges.shift)[:, None])
+def posterior_step(
+    problem: Problem,
+    geometry: EdgeGeometry,
+    precision0: Floats,
+    shift0: Floats,
+    J: Floats,
+    r: Floats,
+    inset: Floats,
+    spread: Floats,
+    sweeps: int,
+    settled: float = 1e-3,
+) -> Step:
+    """Update the Gaussians of all edge points `sweeps` times, linearised where the step is 0.
 
-
-def _sweep(
-    problem: Problem, T: Floats, geometry: EdgeGeometry, offset: Floats, inset: Floats, spread: Floats, sweeps: int
-) -> tuple[Floats, Posterior]:
-    """Update all edge points `sweeps` times at fixed linearisation; the step of the mean, and the posterior."""
-    points, R = problem.edges.points, T[:, :3, :3]
-    m = geometry.direction @ R
-    s, by_shift = geometry.along, ring_shifts(problem.edges)
-    columns = [np.cross(points, m), m, geometry.across[..., None], s[..., None] * by_shift]
-    J = np.concatenate(columns, axis=-1)
-    Jt = np.swapaxes(J, 1, 2)
-    r = geometry.residual + offset[:, None] * geometry.across
-
-    D, z = vec_derivative(T), vec(T)
-    precision0 = np.zeros((len(T), J.shape[-1], J.shape[-1])) + np.eye(J.shape[-1])
-    precision0[:, :6, :6] = np.swapaxes(D, 1, 2) @ problem.plane[:12, :12] @ D + _WEAK_PRIOR
-    shift0 = np.zeros(precision0.shape[:2])
-    shift0[:, :6] = -((z @ problem.plane[:12, :12] + problem.plane[12, :12])[:, None] @ D)[:, 0]
-    offset_precision = 1.0 / problem.noise.COMMON**2
-    precision0[:, 6, 6] = offset_precision
-    shift0[:, 6] = -offset_precision * offset
-
-    own = own_variance(problem, geometry)
-    lower, upper, log_density = _intervals(s, problem.edges)
+    Args:
+        problem: one target in one scan.
+        geometry: its edge points, from C poses.
+        precision0: (C, K, K) information matrix of the step before the edge points, and
+        shift0: (C, K) its information vector.
+        J: (C, M, K) derivative of the residuals r by the unknowns.
+        r: (C, M) residuals at step 0, metres, insets left out.
+        inset: (C, M) distance to the boundary to start from, rad, and
+        spread: (C, M) its variance, rad2.
+        sweeps: at most so many updates.
+        settled: relative change of every precision below which more updates change nothing.
+    """
+    own, s = geometry.own, geometry.along
+    lower, upper, log_density = _residual_intervals(s, problem)
     tau = 1.0 / (own + spread * s**2)
     nu = -tau * inset * s
+    Jt = np.swapaxes(J, 1, 2)
     change = np.inf
     for sweep in range(sweeps + 1):
         precision = precision0 + Jt @ (tau[..., None] * J)
@@ -246,7 +287,7 @@ def _sweep(
         cavity_mean = cavity_variance * (prediction / variance - nu)
         seen = cavity_variance + own
         log_mass, boundary, boundary_variance = mixture_moments(cavity_mean, seen, lower, upper, log_density)
-        if sweep == sweeps or change < _SETTLED:
+        if sweep == sweeps or change < settled:
             break
         gain = cavity_variance / seen
         tilted = cavity_mean + gain * (boundary - cavity_mean)
@@ -257,8 +298,7 @@ def _sweep(
         new_tau = np.where(silent, 1e-6 / seen, informative)
         new_nu = np.where(silent, 0.0, tilted / tilted_variance - cavity_mean / cavity_variance)
         change = float(np.max(np.abs(new_tau - tau) / (new_tau + tau)))
-        tau, nu = tau + 0.8 * (new_tau - tau), nu + 0.8 * (new_nu - nu)
-
+        tau, nu = tau + _DAMPING * (new_tau - tau), nu + _DAMPING * (new_nu - nu)
     log_evidence = (
         0.5 * ((mean * shift).sum(axis=-1) - np.linalg.slogdet(precision)[1])
         - 0.5 * (shift0 * np.linalg.solve(precision0, shift0[..., None])[..., 0]).sum(axis=-1)
@@ -266,19 +306,41 @@ def _sweep(
         + (log_mass + 0.5 * _log_ratio(cavity_mean, cavity_variance, tau, nu)).sum(axis=-1)
         - 0.5 * (tau * r**2 - 2 * nu * r).sum(axis=-1)
     )
+    return Step(mean, np.asarray(covariance), tau, nu, log_evidence)
+
+
+def _sweep(
+    problem: Problem, T: Floats, geometry: EdgeGeometry, offset: Floats, inset: Floats, spread: Floats, sweeps: int
+) -> tuple[Floats, Posterior]:
+    """Update all edge points at fixed linearisation; the step of the poses' means, and the posteriors."""
+    points, m = problem.edges.points, geometry.direction @ T[:, :3, :3]
+    s, by_shift = geometry.along, problem.ring_shifts
+    columns = [np.cross(points, m), m, geometry.across[..., None], s[..., None] * by_shift]
+    J = np.concatenate(columns, axis=-1)
+    r = geometry.residual + offset[:, None] * geometry.across
+
+    D, z = vec_derivative(T), vec(T)
+    precision0 = np.zeros((len(T), J.shape[-1], J.shape[-1])) + np.eye(J.shape[-1])
+    precision0[:, :6, :6] = np.swapaxes(D, 1, 2) @ problem.plane[:12, :12] @ D + _WEAK_PRIOR
+    shift0 = np.zeros(precision0.shape[:2])
+    shift0[:, :6] = -((z @ problem.plane[:12, :12] + problem.plane[12, :12])[:, None] @ D)[:, 0]
+    precision0[:, 6, 6] = 1.0 / problem.noise.COMMON**2
+    shift0[:, 6] = -precision0[:, 6, 6] * offset
+
+    step = posterior_step(problem, geometry, precision0, shift0, J, r, inset, spread, sweeps)
     fast = np.where(np.abs(s) > 1e-3 * np.linalg.norm(points, axis=1), s, np.inf)
     posterior = Posterior(
         T_target_lidar=T,
-        covariance=np.asarray(covariance[:, :6, :6]),
-        joint=np.asarray(covariance[:, :7, :7]),
-        offset=offset + mean[:, 6],
+        covariance=np.asarray(step.covariance[:, :6, :6]),
+        joint=np.asarray(step.covariance[:, :7, :7]),
+        offset=offset + step.mean[:, 6],
         geometry=geometry,
-        inset=np.clip(-(nu / tau) / fast, *_lost_interval(problem.edges)),
-        shift=mean[:, 7:] @ by_shift.T,
-        sigma=1.0 / np.sqrt(tau),
-        log_evidence=log_evidence,
+        inset=np.clip(-(step.information / step.precision) / fast, *problem.intervals[1]),
+        shift=step.mean[:, 7:] @ by_shift.T,
+        sigma=1.0 / np.sqrt(step.precision),
+        log_likelihood=step.log_evidence,
     )
-    return mean[:, :6], posterior
+    return step.mean[:, :6], posterior
 
 
 def _log_ratio(cavity_mean: Floats, cavity_variance: Floats, tau: Floats, nu: Floats) -> Floats:
@@ -288,29 +350,92 @@ def _log_ratio(cavity_mean: Floats, cavity_variance: Floats, tau: Floats, nu: Fl
     return np.asarray(np.log(total / precision) - shift**2 / total + cavity_mean**2 * precision)
 
 
-def _lost_interval(edges: EdgePoints) -> tuple[Floats, Floats]:
-    """Ends (M,), (M,) of where the boundary lies beyond a ring end that is not its last return, rad."""
-    step = np.maximum(edges.width, edges.azimuth_step)
-    return edges.lower + LOST_SPAN[0] * step, edges.lower + LOST_SPAN[1] * step
-
-
-def _intervals(along: Floats, edges: EdgePoints) -> tuple[Floats, Floats, Floats]:
+def _residual_intervals(along: Floats, problem: Problem) -> tuple[Floats, Floats, Floats]:
     """Where the residual of a boundary point lies (2, C, M): within its interval, or, for a lost return, about it.
 
     Densities are per step. A point that leaves its edge inwards cannot have ended there: its first interval is
     empty of weight.
     """
-    ends = np.array([[edges.lower, edges.upper], _lost_interval(edges)])[:, :, None]
-    residuals = -ends * along
+    edges, options = problem.edges, problem.noise.options
+    residuals = -problem.intervals[:, :, None] * along
     lower, upper = residuals.min(axis=1) - 1e-7, residuals.max(axis=1) + 1e-7
-    shape = (2, *along.shape)
-    log_density = np.log([[1 - LOST_RETURNS], [LOST_RETURNS / (LOST_SPAN[1] - LOST_SPAN[0])]])
-    log_density = np.broadcast_to(log_density[..., None], shape).copy()
-    log_density[0] -= np.log(edges.width / np.maximum(edges.width, edges.azimuth_step))
+    span = options.lost_span[1] - options.lost_span[0]
+    log_density = np.zeros((2, *along.shape))
+    log_density[0] = np.log(1 - options.lost_ends) - np.log(edges.width / np.maximum(edges.width, edges.azimuth_step))
     log_density[0] -= np.where(along > 0, 0.0, 20.0)
+    log_density[1] = np.log(options.lost_ends / span)
     return lower, upper, log_density
 
 
-def _exp(xi: Floats) -> Floats:
-    """Exponential maps (C, 4, 4) of tangent vectors (C, 6), rotation first."""
-    return np.array([gtsam.Pose3.Expmap(x).matrix() for x in xi])
+def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats, Floats]:
+    """Moments of Gaussians truncated to intervals, stable far in the tails.
+
+    Args:
+        mean: (...) of the Gaussian, in any unit.
+        variance: (...) of the Gaussian, in that unit squared.
+        lower: (...) end of the interval, in that unit.
+        upper: (...) end of the interval, in that unit, not below `lower`.
+
+    Returns:
+        Logarithm of the mass inside, mean and variance of the truncated Gaussian, each (...), in those units.
+    """
+    sd = np.sqrt(variance)
+    a, b = (lower - mean) / sd, (upper - mean) / sd
+    right = a > 0  # mirror, so that the interval is never in the upper tail
+    a, b = np.where(right, -b, a), np.where(right, -a, b)
+    log_a, log_b = log_ndtr(a), log_ndtr(b)
+    width = b - a
+    with np.errstate(all="ignore"):
+        log_mass = log_b + np.log1p(-np.exp(log_a - log_b))
+        density_a = np.exp(-0.5 * a * a - _LOG_SQRT_2PI - log_mass)
+        density_b = np.exp(-0.5 * b * b - _LOG_SQRT_2PI - log_mass)
+        m = density_a - density_b
+        v = 1.0 + np.where(np.isfinite(a), a * density_a, 0.0) - b * density_b - m * m
+    # Far out the density is exponential; in a narrow interval it is uniform, which is the same with a small rate.
+    far = (b < -300) | (width < 1e-3) | ~np.isfinite(log_mass) | ~(v > 0)
+    m, v = np.clip(m, a, b), np.minimum(v, width**2 / 4)
+    if far.any():
+        start, end, span = a[far], b[far], width[far]
+        rate = np.maximum(-0.5 * (np.maximum(start, end - 1.0) + end), 0.0)
+        tail_mean, v[far] = _exponential_moments(rate, span)
+        m[far] = end - tail_mean
+        flat_mass = np.log(np.maximum(span, 1e-300)) - 0.125 * (start + end) ** 2 - _LOG_SQRT_2PI
+        log_mass[far] = np.where(np.isfinite(log_mass[far]) & (span >= 1e-3), log_mass[far], flat_mass)
+    return log_mass, mean + sd * np.where(right, -m, m), variance * v
+
+
+def _exponential_moments(rate: Floats, width: Floats) -> tuple[Floats, Floats]:
+    """Mean and variance of the exponential density of a rate on [0, width]; uniform where rate * width is small."""
+    x = rate * width
+    flat = x < 1e-2
+    safe = np.where(flat, 1.0, x)
+    end = 1.0 / np.expm1(np.minimum(safe, 700.0))
+    mean = np.where(flat, width * (0.5 - x / 12), width * (1.0 / safe - end))
+    variance = np.where(flat, width**2 / 12, width**2 * (1.0 / safe**2 - end * (1.0 + end)))
+    return mean, np.maximum(variance, 1e-300)
+
+
+def mixture_moments(
+    mean: Floats, variance: Floats, lower: Floats, upper: Floats, log_density: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Moments of a Gaussian times a mixture of uniform densities.
+
+    Args:
+        mean: (...) of the Gaussian, in any unit.
+        variance: (...) of the Gaussian, in that unit squared.
+        lower: (K, ...) lower ends of the K intervals, in that unit.
+        upper: (K, ...) upper ends, in that unit.
+        log_density: (K, ...) logarithm of each uniform's weight divided by its width.
+
+    Returns:
+        Logarithm of the normaliser, mean and variance of the product, each (...), in those units.
+    """
+    log_mass, m, v = truncated_moments(mean[None], variance[None], lower, upper)
+    log_weight = log_density + log_mass
+    top = log_weight.max(axis=0)
+    weight = np.exp(log_weight - top)
+    total = weight.sum(axis=0)
+    weight /= total
+    mixed = (weight * m).sum(axis=0)
+    spread = (weight * (v + (m - mixed) ** 2)).sum(axis=0)
+    return top + np.log(total), mixed, spread

@@ -10,6 +10,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io._isolated import read_isolated
+from optshape_graph.se3 import apply
 from optshape_graph.simulation.rays import EdgeMargin, Sphere
 from optshape_graph.simulation.surfaces import Hits
 
@@ -63,7 +64,7 @@ class Mesh:
         mesh = read_isolated("mesh", path)
         if len(mesh["triangles"]) == 0:
             raise InputError(f"{path}: holds no triangles; expected a mesh (PLY, STL, OBJ, OFF, GLTF)")
-        vertices = scale * mesh["vertices"] @ T_world_mesh[:3, :3].T + T_world_mesh[:3, 3]
+        vertices = apply(T_world_mesh, scale * mesh["vertices"])
         return cls(vertices, mesh["triangles"], reflectivity, str(path))
 
     def cast(self, origins: Floats, directions: Floats, margin: EdgeMargin) -> Hits:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, Ints, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import inverse
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation.motion import Motion
 from optshape_graph.simulation.noise import IDEAL, NoiseModel
@@ -56,7 +57,7 @@ class SimulatedScan:
     @cached_property
     def T_lidar_targets(self) -> tuple[Floats, ...]:
         """(4, 4) true pose of each target in the LiDAR frame at the scan's stamp."""
-        T_lidar_world = np.linalg.inv(self.T_world_lidar)
+        T_lidar_world = inverse(self.T_world_lidar)
         return tuple(frozen(T_lidar_world @ patch.T_world_patch) for patch in self.scene.targets)
 
     def target_returns(self, k: int = 0) -> Scan:

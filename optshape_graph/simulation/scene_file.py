@@ -33,8 +33,6 @@ from optshape_graph.simulation.scene import Scene
 from optshape_graph.simulation.surfaces import Box, Floor, Patch, Surface
 from optshape_graph.target import Target
 
-_POSE = ["position", "rpy_deg"]
-
 
 def load_scene(path: str | Path) -> tuple[Scene, Floats | Motion]:
     """Read a scene and the LiDAR's pose (4, 4) or motion in it: T_world_lidar.
@@ -44,10 +42,10 @@ def load_scene(path: str | Path) -> tuple[Scene, Floats | Motion]:
         MissingExtraError: the scene has meshes and Open3D is absent.
     """
     root = read_document(path, "scene")
-    fields = root.fields(["schema"], ["targets", "floor", "walls", "boxes", "meshes", "lidar"])
+    fields = root.entries()
     background: list[Surface] = []
     if "floor" in fields:
-        floor = fields["floor"].fields(["height"], ["reflectivity"])
+        floor = fields["floor"].entries()
         background.append(Floor(floor["height"].number(), _reflectivity(floor, 0.3)))
     background += [_wall(node) for node in _items(fields, "walls")]
     background += [_box(node) for node in _items(fields, "boxes")]
@@ -61,31 +59,31 @@ def _items(fields: dict[str, Node], key: str) -> list[Node]:
 
 
 def _target(node: Node) -> Patch:
-    fields = node.fields(["target", "position"], ["rpy_deg", "reflectivity"])
+    fields = node.entries()
     target = load_target(fields["target"].text(), node.path.parent)
     return Patch(target, _pose(fields), _reflectivity(fields, 0.8))
 
 
 def _wall(node: Node) -> Patch:
-    fields = node.fields(["size", "position"], ["rpy_deg", "reflectivity"])
-    y, z = _size(fields["size"], 2) / 2
+    fields = node.entries()
+    y, z = fields["size"].numbers(2) / 2
     shape = Target.from_polygon([[y, -z], [y, z], [-y, z], [-y, -z]], "wall")
     return Patch(shape, _pose(fields), _reflectivity(fields, 0.5))
 
 
 def _box(node: Node) -> Box:
-    fields = node.fields(["size", "position"], ["rpy_deg", "reflectivity"])
-    return Box(_size(fields["size"], 3), _pose(fields), _reflectivity(fields, 0.5))
+    fields = node.entries()
+    return Box(fields["size"].numbers(3), _pose(fields), _reflectivity(fields, 0.5))
 
 
 def _mesh(node: Node) -> Mesh:
-    fields = node.fields(["file"], [*_POSE, "scale", "reflectivity"])
-    scale = fields["scale"].number(above=0.0) if "scale" in fields else 1.0
+    fields = node.entries()
+    scale = fields["scale"].number() if "scale" in fields else 1.0
     return Mesh.read(fields["file"].file(), _pose(fields), scale, _reflectivity(fields, 0.5))
 
 
 def _lidar(node: Node) -> Floats | Motion:
-    fields = node.fields([], [*_POSE, "velocity", "angular_velocity_deg"])
+    fields = node.entries()
     T_world_lidar = _pose(fields)
     velocity = fields["velocity"].numbers(3) if "velocity" in fields else np.zeros(3)
     turning = np.radians(fields["angular_velocity_deg"].numbers(3)) if "angular_velocity_deg" in fields else np.zeros(3)
@@ -100,17 +98,5 @@ def _pose(fields: dict[str, Node]) -> Floats:
     return pose_from_rpy(position, rpy)
 
 
-def _size(node: Node, n: int) -> Floats:
-    size = node.numbers(n)
-    if (size <= 0).any():
-        node.expected(f"{n} lengths above 0 m")
-    return size
-
-
 def _reflectivity(fields: dict[str, Node], default: float) -> float:
-    if "reflectivity" not in fields:
-        return default
-    value = fields["reflectivity"].number(least=0.0)
-    if value > 1.0:
-        fields["reflectivity"].expected("a number from 0 to 1")
-    return value
+    return fields["reflectivity"].number() if "reflectivity" in fields else default

@@ -13,6 +13,7 @@ from optshape_graph.errors import EstimationError
 from optshape_graph.io import save_sensor, save_target, write_scan
 from optshape_graph.io.documents import write_json, write_yaml
 from optshape_graph.io.files import write_atomically
+from optshape_graph.se3 import apply, inverse
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation.noise import NoiseModel
 from optshape_graph.simulation.placement import pose_from_rpy
@@ -63,7 +64,7 @@ def synthetic_session(
     noise = NoiseModel.of(sensor) if noise is None else noise
     range_bias = noise.draw_range_bias(sensor.n_rings, rng)
     T_lidar_mocap = pose_from_rpy(rng.uniform(-2.0, 2.0, 3), rng.uniform(-0.5, 0.5, 3))
-    T_mocap_lidar = np.linalg.inv(T_lidar_mocap)
+    T_mocap_lidar = inverse(T_lidar_mocap)
     layout = target.vertices + MARKER_OFFSET * _unit_vectors(len(target), rng)
 
     scans: list[dict[str, str | int]] = []
@@ -79,7 +80,7 @@ def synthetic_session(
             write_scan(folder / file, scan)
             frame = len(scans)
             T_mocap_target = T_mocap_lidar @ T
-            seen = layout @ T_mocap_target[:3, :3].T + T_mocap_target[:3, 3]
+            seen = apply(T_mocap_target, layout)
             seen += rng.normal(0.0, MARKER_NOISE, seen.shape)
             marker_lines += [f"{frame},corner{k},{x:.6f},{y:.6f},{z:.6f}" for k, (x, y, z) in enumerate(seen)]
             scans.append({"file": file, "mocap_frame": frame})

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from optshape_graph.errors import EstimationError
 from optshape_graph.io import write_scan
 from optshape_graph.io.documents import write_json
+from optshape_graph.se3 import apply
 from optshape_graph.simulation.noise import NoiseModel
 from optshape_graph.simulation.scene import SimulatedScan
 
@@ -46,7 +47,7 @@ def write_simulation(
         {
             "target": patch.shape.name,
             "T_lidar_target": T,
-            "vertices": patch.shape.vertices @ T[:3, :3].T + T[:3, 3],
+            "vertices": apply(T, patch.shape.vertices),
             "returns": int((result.surface == k).sum()),
         }
         for k, (patch, T) in enumerate(zip(result.scene.targets, result.T_lidar_targets, strict=True))

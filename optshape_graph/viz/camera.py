@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.camera_calibration import CameraCalibration
-from optshape_graph.calibration.camera_evidence import without_bias
-from optshape_graph.calibration.consistency import of_view
+from optshape_graph.calibration.camera.calibrate import CameraCalibration
+from optshape_graph.calibration.camera.consistency import of_view
+from optshape_graph.calibration.camera.evidence import without_bias
+from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.projection import project
-from optshape_graph.calibration.sightings import TargetInScan
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.files import read_bytes, write_atomically
 from optshape_graph.io.image_files import decode_image, opencv
+from optshape_graph.se3 import apply, inverse
 from optshape_graph.target import Target
 from optshape_graph.viz.style import BLUE, GREY, INK, VERMILLION, file_name, legend_below, literal, new_figure, plain
 
@@ -140,7 +140,7 @@ def _returns(
     picture: np.ndarray, camera: CameraIntrinsics, T_camera_lidar: Floats, points: Floats, radius: int
 ) -> None:
     cv2 = opencv()
-    in_camera = points @ T_camera_lidar[:3, :3].T + T_camera_lidar[:3, 3]
+    in_camera = apply(T_camera_lidar, points)
     ahead = np.arctan2(np.linalg.norm(in_camera[:, :2], axis=1), in_camera[:, 2]) < WIDEST_ANGLE
     in_camera, distance = in_camera[ahead], np.linalg.norm(points[ahead], axis=1)
     if not len(in_camera):
@@ -161,7 +161,7 @@ def _outline(
     points = ((1 - share) * target.vertices[:, None] + share * np.roll(target.vertices, -1, axis=0)[:, None]).reshape(
         -1, 3
     )
-    in_camera = points @ T_camera_target[:3, :3].T + T_camera_target[:3, 3]
+    in_camera = apply(T_camera_target, points)
     if (in_camera[:, 2] > 0).all():
         pixels = np.round(16 * project(camera, in_camera)).astype(np.int32)
         cv2.polylines(picture, [pixels], True, colour, 2, cv2.LINE_AA, 4)

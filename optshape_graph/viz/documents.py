@@ -10,13 +10,13 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io import load_target, read_scan
 from optshape_graph.io.builtin import builtin_names
 from optshape_graph.io.documents import Node, read_json
 from optshape_graph.io.files import is_file
 from optshape_graph.mapping.map import load_map
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import apply, inverse
 from optshape_graph.target import Target
 from optshape_graph.viz.spatial import (
     Lines,
@@ -50,6 +50,8 @@ def spatial(path: str | Path, targets: Mapping[str, Target] | None = None) -> Sp
         return of_scan(read_scan(path))
     root = read_json(path)
     schema = _at(root, "schema").text()
+    if schema == "optshape/camera/1" and "T_camera_lidar" in root.value:  # as version 0.1.0 wrote calibrations
+        schema = "optshape/camera-calibration/1"
     kind = schema.removeprefix("optshape/").partition("/")[0]
     if schema != f"optshape/{kind}/1" or kind not in FORMS:
         forms = ", ".join(f"optshape/{name}/1" for name in FORMS)
@@ -81,7 +83,7 @@ def _estimate(root: Node, targets: Mapping[str, Target]) -> Spatial:
             items.append(Points("target/edge points", points, by_label(labels), 0.015, k))
         rival = _at(_at(entry, "ambiguity"), "T_lidar_target")
         if rival.value is not None:
-            moved = _moved(vertices, rival.numbers(4, 4) @ inverse(T))
+            moved = apply(rival.numbers(4, 4) @ inverse(T), vertices)
             items.append(outline("target/runner-up", moved, VERMILLION, step=k))
     return Spatial(tuple(items), tuple(steps), tuple(notes))
 
@@ -99,7 +101,7 @@ def _detect(root: Node, targets: Mapping[str, Target]) -> Spatial:
             items.append(ellipsoid(f"{place}/3 sd", T, _at(found, "covariance").numbers(6, 6), k))
             template = _template(target, targets, notes)
             if template is not None:
-                items.append(outline(f"{place}/outline", _moved(template.vertices, T), BLUE, step=k))
+                items.append(outline(f"{place}/outline", apply(T, template.vertices), BLUE, step=k))
             rows = [node.integer() for node in _at(found, "return_indices").items()]
             if scan is not None and rows and max(rows) < len(scan):
                 items.append(Points(f"{place}/returns", scan.points[rows], rgb(VERMILLION), 0.015, k))
@@ -167,7 +169,7 @@ def _mocap(root: Node, targets: Mapping[str, Target]) -> Spatial:
             notes.append(f"{name}: not shown, for the result does not say where the target was")
             continue
         T_lidar_target = _at(entry, "T_lidar_target").numbers(4, 4)
-        markers = _moved(layout, T_lidar_target)
+        markers = apply(T_lidar_target, layout)
         items.append(outline(f"targets/{name}/outline of the markers", markers, BLUE, name))
         items.append(Points(f"targets/{name}/markers", markers, rgb(VERMILLION), 0.01))
         items.append(axes(f"targets/{name}/axes", T_lidar_target, 0.2))
@@ -178,7 +180,7 @@ FORMS: dict[str, Callable[[Node, Mapping[str, Target]], Spatial]] = {
     "estimate": _estimate,
     "detect": _detect,
     "map": _map,
-    "camera": _camera,
+    "camera-calibration": _camera,
     "mocap": _mocap,
     "simulation": _simulation,
 }
@@ -226,13 +228,9 @@ def _template(name: str, targets: Mapping[str, Target], notes: list[str]) -> Tar
     return None
 
 
-def _moved(points: Floats, T: Floats) -> Floats:
-    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
-
-
 def _intrinsics(node: Node) -> CameraIntrinsics:
     D = _at(node, "D").items()
     return CameraIntrinsics(
-        _at(node, "name").text(), _at(node, "model").text(), _at(node, "width").integer(1),
-        _at(node, "height").integer(1), _at(node, "K").numbers(3, 3), np.array([one.number() for one in D]),
+        _at(node, "name").text(), _at(node, "model").text(), _at(node, "width").integer(),
+        _at(node, "height").integer(), _at(node, "K").numbers(3, 3), np.array([one.number() for one in D]),
     )  # fmt: skip

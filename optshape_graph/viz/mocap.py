@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optshape_graph.calibration.mocap import MocapCalibration
-from optshape_graph.calibration.mocap_comparison import MocapScan, ScanError
+from optshape_graph.calibration.mocap.calibrate import MocapCalibration
+from optshape_graph.calibration.mocap.comparison import MocapScan, ScanError
 from optshape_graph.evaluation.harness import Row
+from optshape_graph.se3 import apply
 from optshape_graph.target import Target
 from optshape_graph.viz.style import (
     INK,
@@ -112,7 +113,7 @@ def plot_placements(scans: Sequence[MocapScan], calibration: MocapCalibration) -
     axes.plot(0.0, 0.0, "+", color=INK, ms=12, mew=2)
     axes.annotate("LiDAR", (0.0, 0.0), textcoords="offset points", xytext=(8, 8))
     for k, scan in enumerate(scans):
-        seen = calibration.scale * scan.markers @ T[:3, :3].T + T[:3, 3]
+        seen = apply(T, calibration.scale * scan.markers)
         outline(axes, scan.estimate.vertices[:, :2], colour(k), label=literal(scan.name))
         axes.plot(
             *seen[:, :2].T,

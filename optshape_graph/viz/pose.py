@@ -11,10 +11,9 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
-from optshape_graph.factors.se3 import inverse
-from optshape_graph.pose import PoseEstimate
-from optshape_graph.pose.estimate import AMBIGUITY_MARGIN
+from optshape_graph.pose import PoseEstimate, PoseOptions
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import apply, inverse
 from optshape_graph.target import Target
 from optshape_graph.viz.style import (
     BLUE,
@@ -211,7 +210,7 @@ def plot_runner_up(scan: Scan, estimate: PoseEstimate) -> Figure:
     axes = figure.subplots()
     target = estimate.target
     T_target_rival = inverse(estimate.T_lidar_target) @ rival
-    other = (target.vertices @ T_target_rival[:3, :3].T + T_target_rival[:3, 3])[:, 1:]
+    other = apply(T_target_rival, target.vertices)[:, 1:]
     points = _near(scan, estimate)
     _front_axes(axes, target, np.vstack([target.polygon, other]))
     axes.plot(points[:, 1], points[:, 2], ".", color=GREY, ms=4, label="returns")
@@ -225,7 +224,7 @@ def plot_runner_up(scan: Scan, estimate: PoseEstimate) -> Figure:
     axes.set_title(
         f"{short(scan.name)}, {estimate.status}: "
         f"the runner-up's log likelihood is {estimate.ambiguity.margin:.1f} lower\n"
-        f"(below {AMBIGUITY_MARGIN:g} a different pose is not ruled out)", fontsize=11,
+        f"(below {PoseOptions.ambiguity_margin:g} a different pose is not ruled out)", fontsize=11,
     )  # fmt: skip
     legend_below(figure, axes)
     return figure
@@ -277,8 +276,7 @@ def _plane_residuals(axes: Axes, scan: Scan, estimate: PoseEstimate) -> None:
 
 
 def _in_target(estimate: PoseEstimate, points: Floats) -> Floats:
-    T = estimate.T_target_lidar
-    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+    return apply(estimate.T_target_lidar, points)
 
 
 def _near(scan: Scan, estimate: PoseEstimate) -> Floats:

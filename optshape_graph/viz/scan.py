@@ -10,6 +10,7 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.detection import Detections, Rejection
 from optshape_graph.scan import Scan
+from optshape_graph.se3 import apply
 from optshape_graph.simulation import SimulatedScan
 from optshape_graph.viz.style import INK, PALE, VERMILLION, literal, new_figure, plain, short
 
@@ -71,7 +72,7 @@ def plot_simulation(simulated: SimulatedScan) -> Figure:
     """
     patches, poses = simulated.scene.targets, simulated.T_lidar_targets
     outlines = {
-        name: patch.shape.vertices @ T[:3, :3].T + T[:3, 3]
+        name: apply(T, patch.shape.vertices)
         for name, patch, T in zip(
             _unique([literal(patch.shape.name) for patch in patches]), patches, poses, strict=True
         )

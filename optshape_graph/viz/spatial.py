@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from optshape_graph._arrays import Floats
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
+from optshape_graph.se3 import apply
 from optshape_graph.viz.style import COLOURS, GREY, INK
 
 Colours = NDArray[np.uint8]
@@ -165,6 +166,6 @@ def frustum(name: str, T_world_camera: Floats, camera: CameraIntrinsics, depth: 
     w, h = camera.width, camera.height
     pixels = np.array([[0.0, 0.0, 1.0], [w, 0.0, 1.0], [w, h, 1.0], [0.0, h, 1.0]])
     corners = depth * pixels @ np.linalg.inv(camera.K).T
-    corners = corners @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
+    corners = apply(T_world_camera, corners)
     sides = tuple(np.array([T_world_camera[:3, 3], corner]) for corner in corners)
     return Lines(name, (np.vstack([corners, corners[:1]]), *sides), rgb(GREY), camera.name)

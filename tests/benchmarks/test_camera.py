@@ -4,8 +4,8 @@ from time import perf_counter
 
 import pytest
 
-from optshape_graph.calibration.camera_calibration import calibrate
-from optshape_graph.calibration.camera_session import read_views
+from optshape_graph.calibration.camera.calibrate import calibrate
+from optshape_graph.calibration.camera.session import read_views
 from optshape_graph.calibration.images.reading import ImageTask, find_targets
 from optshape_graph.io import load_session
 from tests.shared import SHARED, needs_shared

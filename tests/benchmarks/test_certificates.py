@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from optshape_graph.calibration.mocap_comparison import leave_one_out
-from optshape_graph.calibration.mocap_session import load_mocap_scans
+from optshape_graph.calibration.mocap.comparison import leave_one_out
+from optshape_graph.calibration.mocap.session import load_mocap_scans
 from optshape_graph.io import load_session, load_target
 from optshape_graph.pose import estimate_pose
 from tests.pose.clouds import errors, reference_cases

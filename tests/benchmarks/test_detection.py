@@ -5,15 +5,16 @@ import time
 import numpy as np
 import pytest
 
-from optshape_graph.detection import detect_targets
+from optshape_graph.detection import DetectionOptions, detect_targets
 from optshape_graph.detection.patches import find_patches
-from optshape_graph.detection.segments import sweep
+from optshape_graph.detection.segments import order_scan
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import estimate_pose
 from tests.detection.scenes import pose, scan_of
 
 pytestmark = pytest.mark.benchmark
 
+OPTIONS = DetectionOptions()
 REVOLUTION_S = 0.1
 CORES = 2
 
@@ -42,8 +43,8 @@ def test_full_scans_faster_than_real_time_on_two_cores(scan) -> None:
     assert len(found) == 2
     assert len(scan) > 50_000
     whole = seconds(lambda: detect_targets(scan, [target]))
-    cut = seconds(lambda: sweep(scan))
-    ordered = sweep(scan)
+    cut = seconds(lambda: order_scan(scan, OPTIONS))
+    ordered = order_scan(scan, OPTIONS)
     patches = seconds(lambda: find_patches(ordered, 0.2, 1.5))
     poses = sum(seconds(lambda one=one: estimate_pose(scan.select(one.indices), target)) for one in found)
     print(

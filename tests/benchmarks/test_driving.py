@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from optshape_graph.evaluation.trajectories import absolute_error, pose_nees, predicted_rmse, relative_error
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.mapping import Landmark, LandmarkSlam, Map, Start, solve_batch
+from optshape_graph.se3 import inverse
 from tests.factors.support import retract
 from tests.mapping.driving import PAPER, Drive, beside, drive, kitti_path
 from tests.mapping.support import at, covariance, loop

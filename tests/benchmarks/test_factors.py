@@ -9,7 +9,7 @@ import pytest
 from gtsam.symbol_shorthand import H
 
 from optshape_graph.factors import TemplateFactor, TemplateMeasurement, edge_rows
-from optshape_graph.factors.se3 import skew
+from optshape_graph.se3 import skew
 from tests.factors.support import TARGET, edge_points, random_pose, retract
 
 N_POINTS = 2000

@@ -13,7 +13,6 @@ from gtsam.symbol_shorthand import L, X
 from optshape_graph.evaluation.metrics import pose_error
 from optshape_graph.evaluation.trajectories import absolute_error, pose_nees, predicted_rmse
 from optshape_graph.factors import TemplateCallbackFactor, TemplateMeasurement, summarise
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io import load_sensor
 from optshape_graph.io.recordings import Recording
 from optshape_graph.mapping import (
@@ -38,6 +37,7 @@ from optshape_graph.mapping.recording import (
     observe_all,
 )
 from optshape_graph.pose import estimate_pose
+from optshape_graph.se3 import inverse
 from optshape_graph.simulation import Box, ConstantTwist, NoiseModel, Patch, Scene, simulate
 from tests.factors.support import TARGET, edge_points, measure, retract
 from tests.io.recordings.writing import LAYOUTS, maker, write_bag

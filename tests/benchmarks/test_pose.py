@@ -11,7 +11,7 @@ import pytest
 
 from optshape_graph.io import load_target
 from optshape_graph.pose import estimate_pose
-from optshape_graph.pose.sdp import _solve_clarabel, eliminate_translation
+from optshape_graph.pose.certificate import _solve_clarabel, eliminate_translation
 from tests.pose.clouds import simulated
 
 pytestmark = pytest.mark.benchmark

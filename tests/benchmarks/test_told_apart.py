@@ -11,12 +11,11 @@ import pytest
 
 from optshape_graph.detection import detect_targets
 from optshape_graph.edges import extract_edge_points, with_top_and_bottom
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io import load_sensor, load_target
-from optshape_graph.pose import estimate_pose
-from optshape_graph.pose.intervals import truncated_moments
-from optshape_graph.pose.noise import LOST_RETURNS, LOST_SPAN, EdgeNoise
-from optshape_graph.pose.propagation import Problem, edge_geometry, own_variance
+from optshape_graph.pose import PoseOptions, estimate_pose
+from optshape_graph.pose.noise import EdgeNoise
+from optshape_graph.pose.propagation import Problem, edge_geometry, truncated_moments
+from optshape_graph.se3 import inverse
 from optshape_graph.simulation import NoiseModel, simulate_target
 from tests.detection.scenes import pose, scan_of
 
@@ -71,15 +70,18 @@ def test_told_apart(name: str) -> None:
 def log_likelihood(problem: Problem, T_target_lidar: np.ndarray) -> float:
     """Of the ring ends at a known pose, the offset across the edges being anything within the beam."""
     geometry, edges = edge_geometry(problem, T_target_lidar[None]), problem.edges
-    own, along = own_variance(problem, geometry)[0], geometry.along[0]
+    own, along = geometry.own[0], geometry.along[0]
     step = np.maximum(edges.width, edges.azimuth_step)
-    lost = edges.lower + LOST_SPAN[0] * step, edges.lower + LOST_SPAN[1] * step
-    span = LOST_SPAN[1] - LOST_SPAN[0]
+    lost = edges.lower + PoseOptions.lost_span[0] * step, edges.lower + PoseOptions.lost_span[1] * step
+    span = PoseOptions.lost_span[1] - PoseOptions.lost_span[0]
     logs = []
     for offset in np.linspace(-0.5, 0.5, 21):
         residual = geometry.residual[0] + offset * geometry.across[0]
         parts = []
-        for ends, share in (((edges.lower, edges.upper), 1 - LOST_RETURNS), (lost, LOST_RETURNS / span)):
+        for ends, share in (
+            ((edges.lower, edges.upper), 1 - PoseOptions.lost_ends),
+            (lost, PoseOptions.lost_ends / span),
+        ):
             bounds = np.sort(-np.array(ends) * along, axis=0)
             mass = truncated_moments(residual, own, bounds[0] - 1e-7, bounds[1] + 1e-7)[0]
             parts.append(mass + np.log(share) - np.log(np.maximum(np.abs(along), 1e-6)))

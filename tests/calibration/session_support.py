@@ -12,7 +12,7 @@ from optshape_graph.evaluation.rendering import render_target
 from optshape_graph.io import save_camera, save_target, write_scan
 from optshape_graph.io.documents import write_yaml
 from optshape_graph.simulation.scene import simulate_target
-from tests.calibration.camera_support import BOARD, FISHEYE, T_CAMERA_LIDAR, Sensor, placement
+from tests.calibration.camera.support import BOARD, FISHEYE, T_CAMERA_LIDAR, Sensor, placement
 
 SESSION_VIEWS = 4
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from optshape_graph.calibration.crops import planar_returns
+from optshape_graph.calibration.camera.crops import planar_returns
 from optshape_graph.calibration.free_shape import MeasuredShape, measure_shape
 from optshape_graph.errors import EstimationError
 from optshape_graph.io import load_sensor, load_target, read_scan
@@ -11,7 +11,7 @@ from optshape_graph.scan import Scan
 from optshape_graph.simulation.noise import NoiseModel
 from optshape_graph.simulation.scene import simulate_target
 from optshape_graph.target import Target
-from tests.calibration.camera_support import BOARD, placement
+from tests.calibration.camera.support import BOARD, placement
 from tests.shared import SHARED, needs_shared
 
 VLP16 = load_sensor("vlp16")

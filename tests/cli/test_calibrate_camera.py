@@ -28,7 +28,7 @@ def test_writes_everything(session):
     assert result.exception is None, result.exception
     assert result.return_value == 3  # one view was not used
     document = json.loads((session / "out.json").read_text())
-    assert document["schema"] == "optshape/camera/1"
+    assert document["schema"] == "optshape/camera-calibration/1"
     assert [view["used"] for view in document["views"]] == [True, True, True, False]
     assert "cam0" in yaml.safe_load((session / "camchain.yaml").read_text())
     overlays = sorted((session / "overlays").iterdir())

@@ -114,7 +114,7 @@ def test_every_command_is_run() -> None:
 def test_truths_of_simulated_sessions_fit(tmp_path: Path) -> None:
     from optshape_graph.evaluation.camera_session import synthetic_camera_session
     from optshape_graph.simulation import synthetic_session
-    from tests.calibration.camera_support import BOARD, FISHEYE, T_CAMERA_LIDAR
+    from tests.calibration.camera.support import BOARD, FISHEYE, T_CAMERA_LIDAR
 
     synthetic_session(tmp_path / "a", load_target("built"), load_sensor("vlp32c"), distances=(4.0,))
     synthetic_camera_session(tmp_path / "b", BOARD, load_sensor("vlp16"), FISHEYE, np.asarray(T_CAMERA_LIDAR), views=1)

@@ -144,8 +144,18 @@ def test_rejections_say_why() -> None:
     assert one.n_rings > 10
 
 
+def test_a_target_alone_is_as_good_as_a_list() -> None:
+    scan = scan_of(VLP32C, [(PAPER, pose(6, 0, 0.1, 20, 10, 15))]).scan
+    alone, listed = only(detect_targets(scan, PAPER)), only(detect_targets(scan, [PAPER]))
+    np.testing.assert_array_equal(alone.estimate.T_lidar_target, listed.estimate.T_lidar_target)
+
+
 def test_bad_requests() -> None:
     scan = scan_of(VLP32C, []).scan
+    with pytest.raises(InputError, match="expected a Target or a list of them, found str"):
+        detect_targets(scan, "paper")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="expected a Target or a list of them, found int in the list"):
+        detect_targets(scan, [PAPER, 1])  # type: ignore[list-item]
     with pytest.raises(InputError, match="no targets"):
         detect_targets(scan, [])
     with pytest.raises(InputError, match="different names"):

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from optshape_graph import InputError
-from optshape_graph.calibration.camera_calibration import calibrate
-from optshape_graph.calibration.camera_session import read_views
+from optshape_graph.calibration.camera.calibrate import calibrate
+from optshape_graph.calibration.camera.session import read_views
 from optshape_graph.calibration.images.chessboard import chessboard_points
 from optshape_graph.calibration.images.projection import project
 from optshape_graph.evaluation.camera_session import synthetic_camera_session
 from optshape_graph.evaluation.rendering import render_target
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io import load_sensor, load_session
-from tests.calibration.camera_support import BOARD, PINHOLE, T_CAMERA_LIDAR
+from optshape_graph.se3 import inverse
+from tests.calibration.camera.support import BOARD, PINHOLE, T_CAMERA_LIDAR
 from tests.io.schema_support import complaint
 
 CAMERA = replace(

@@ -19,9 +19,9 @@ from optshape_graph.evaluation.trajectories import (
     predicted_rmse,
     relative_error,
 )
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping import Landmark, LandmarkSlam, Map, solve_batch
+from optshape_graph.se3 import inverse
 from optshape_graph.simulation import ConstantTwist
 from tests.factors.support import TARGET, random_pose, retract, seeds
 from tests.mapping.driving import Twisting, beside, drive, kitti_path

@@ -4,7 +4,10 @@ from hypothesis import given
 
 from optshape_graph import InputError
 from optshape_graph.factors import (
+    EDGE_OFFSET,
+    RANGE_BIAS,
     BiasedMeasurement,
+    SharedError,
     TemplateMeasurement,
     edge_rows,
     fuse_static,
@@ -102,11 +105,11 @@ def test_consistent_when_every_scan_shares_the_biases():
     assert np.mean(naive) > 8.0
 
 
-def test_errors_of_the_same_name_are_the_same():
+def test_equal_errors_are_the_same():
     rng = np.random.default_rng(4)
     T = random_pose(rng)
     A, B, r = rows_of(*scan(rng, T), T)
-    names = [f"ring {i}" for i in range(N_RINGS)]
+    names = [SharedError(RANGE_BIAS, ring=i) for i in range(N_RINGS)]
     seen = [0, 2, 5]  # the second scan hit the target with these rings only, and lists them its own way
     rows = np.flatnonzero(B[:, [1, 3, 4]].any(axis=1) == 0)
     whole = BiasedMeasurement.from_rows(A, B, r, T, names) + BiasedMeasurement.from_rows(A[rows], B[rows], r[rows], T)
@@ -118,8 +121,36 @@ def test_errors_of_the_same_name_are_the_same():
     np.testing.assert_allclose(
         fuse_static(apart, sigma).quadratic(), whole.marginal(sigma).quadratic(), atol=1e-9 * len(r) * 100
     )
-    other = BiasedMeasurement.from_rows(A, B[:, :1], r, T, ["inset"])
-    assert (apart[0] + other).shared == (*names, "inset")
+    other = BiasedMeasurement.from_rows(A, B[:, :1], r, T, [SharedError("inset")])
+    assert (apart[0] + other).shared == (*names, SharedError("inset"))
+
+
+def test_errors_that_mean_different_things_do_not_add():
+    """Bands of elevation of two scans overlap without being the same; a ring's bias is none of a band's."""
+    rng = np.random.default_rng(5)
+    T = random_pose(rng)
+    A, B, r = rows_of(*scan(rng, T), T)
+
+    def of(*errors):
+        return BiasedMeasurement.from_rows(A, B[:, : len(errors)], r, T, errors)
+
+    whole, low = SharedError(RANGE_BIAS), SharedError(RANGE_BIAS, band=(0.0, 0.1))
+    other, ring = SharedError(RANGE_BIAS, band=(0.01, 0.11)), SharedError(RANGE_BIAS, ring=2)
+    offset = SharedError(EDGE_OFFSET)
+    assert (of(whole, low) + of(low, whole)).shared == (whole, low)
+    assert (of(ring) + of(offset)).shared == (ring, offset)
+    for mine, theirs in (((whole, low), (whole, other)), ((low,), (ring,)), ((whole,), (ring, offset))):
+        with pytest.raises(InputError, match="mean different things do not add: range bias"):
+            of(*mine) + of(*theirs)
+    alone = of(whole, low).without([low]) + of(whole, other).without([other])
+    assert alone.shared == (whole,)
+
+
+def test_a_shared_error_says_what_it_is_in_words():
+    assert str(SharedError(EDGE_OFFSET)) == "edge offset"
+    assert str(SharedError(RANGE_BIAS, ring=7)) == "range bias of ring 7"
+    assert str(SharedError(RANGE_BIAS, band=(0.0, np.radians(0.5)))) == "range bias between 0.000 and 0.500 deg"
+    assert len({SharedError(RANGE_BIAS, ring=7), SharedError(RANGE_BIAS, ring=7), SharedError(RANGE_BIAS)}) == 2
 
 
 def test_bad_input():
@@ -129,8 +160,10 @@ def test_bad_input():
     measurement = BiasedMeasurement.from_rows(A, B, r, np.eye(4))
     with pytest.raises(InputError, match="no measurement"):
         fuse_static([], 0.01)
-    with pytest.raises(InputError, match=r"19 columns; expected 13, and one for each of .'a', 'b'"):
-        BiasedMeasurement.from_rows(A, B, r, np.eye(4), ["a", "b"])
+    with pytest.raises(InputError, match=r"19 columns; expected 13, and one for each of: inset, range bias of ring 3$"):
+        BiasedMeasurement.from_rows(A, B, r, np.eye(4), [SharedError("inset"), SharedError(RANGE_BIAS, ring=3)])
+    with pytest.raises(InputError, match=r"shared error 'ring 1'; expected a SharedError"):
+        BiasedMeasurement.from_rows(A, B[:, :1], r, np.eye(4), ["ring 1"])
     with pytest.raises(InputError, match="finite numbers >= 0"):
         measurement.marginal(-0.1)
     with pytest.raises(InputError, match="rings run from 0 to 5; expected 0 to 4"):
@@ -145,8 +178,8 @@ def test_marginalised_in_two_steps_or_in_one_and_substituted(seed):
     T, H, left, right = (random_pose(rng) for _ in range(4))
     A, B, r = rows_of(*scan(rng, T), T)
     biased = BiasedMeasurement.from_rows(A / 0.01, 0.02 * B / 0.01, r / 0.01, T)
-    some = biased.without(["ring 1", "ring 4", "no such ring"])
-    assert some.shared == ("ring 0", "ring 2", "ring 3", "ring 5")
+    some = biased.without([SharedError(RANGE_BIAS, ring=ring) for ring in (1, 4, 99)])
+    assert some.shared == tuple(SharedError(RANGE_BIAS, ring=ring) for ring in (0, 2, 3, 5))
     assert some.marginal(1.0).error(H) == pytest.approx(biased.marginal(1.0).error(H), rel=1e-8)
     moved = biased.substituted(left, right)
     assert moved.marginal(1.0).error(H) == pytest.approx(biased.marginal(1.0).error(left @ H @ right), rel=1e-8)

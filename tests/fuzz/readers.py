@@ -31,8 +31,8 @@ from optshape_graph.io import (
     save_target,
     write_scan,
 )
+from optshape_graph.io.clouds.lzf import lzf_decompress
 from optshape_graph.io.documents import read_json, write_json
-from optshape_graph.io.lzf import lzf_decompress
 from optshape_graph.io.mocap import read_mocap
 from optshape_graph.io.recordings import Recording
 from optshape_graph.io.trajectories import read_g2o, read_kitti, read_tum
@@ -106,7 +106,7 @@ def table() -> Any:
 
 
 def pcds(_: Path) -> list[bytes]:
-    from tests.io.test_pcd import pcd
+    from tests.io.clouds.test_pcd import pcd
 
     return [pcd(table(), encoding) for encoding in ("ascii", "binary", "binary_compressed")]
 
@@ -164,7 +164,7 @@ def read_lzf(path: Path) -> None:
 
 
 def lzfs(_: Path) -> list[bytes]:
-    from tests.io.test_lzf import compress
+    from tests.io.clouds.test_lzf import compress
 
     plain = [b"", b"abcabcabcabcabcabc" * 9, table().tobytes(), bytes(3000)]
     return [struct.pack("<I", len(data)) + compress(data) for data in plain]
@@ -197,7 +197,7 @@ def written(save: Callable[..., None], thing: object, suffix: str = ".yaml") -> 
 
 
 def targets(folder: Path) -> list[bytes]:
-    from tests.calibration.camera_support import BOARD
+    from tests.calibration.camera.support import BOARD
 
     return [*written(save_target, PAPER)(folder), *written(save_target, BOARD)(folder), TAGS.encode()]
 

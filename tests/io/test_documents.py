@@ -209,8 +209,6 @@ rows: [[1, 2], [3]]
 @pytest.mark.parametrize(
     ("use", "message"),
     [
-        (lambda n: n.fields(["name"], ["size"]), r"a\.yaml:3: list: unknown key 'list'; expected one of: name, size"),
-        (lambda n: n.fields(["nme", "size"], []), r"a\.yaml:1: name: unknown key 'name' \(did you mean 'nme'\?\)"),
         (
             lambda n: n.at("list").at(1).fields(["b", "c"]),
             r"a\.yaml:5: list\[1\]: the key 'c' is missing; found only: b",
@@ -223,13 +221,10 @@ rows: [[1, 2], [3]]
         (lambda n: n.at("size").items(), r"a\.yaml:2: size: expected a list, found 3"),
         (lambda n: n.at("size").text(), r"expected a text \(put it in quotes\), found 3"),
         (lambda n: n.at("nothing").text(), r"nothing: expected a text, found nothing \(null\)"),
-        (lambda n: n.at("size").number(least=4), "expected a finite number at least 4, found 3"),
-        (lambda n: n.at("size").number(above=3), "expected a finite number above 3, found 3"),
         (lambda n: n.at("on").number(), "expected a finite number, found True"),
-        (lambda n: n.at("on").integer(), "expected an integer of at least 0, found True"),
+        (lambda n: n.at("on").integer(), "expected an integer, found True"),
         (lambda n: n.at("huge").number(), "expected a finite number, found inf"),
-        (lambda n: n.at("list").at(0).integer(), r"list\[0\]: expected an integer of at least 0, found 1\.5"),
-        (lambda n: n.at("name").choice(["y", "z"]), "expected one of: y, z, found 'x'"),
+        (lambda n: n.at("list").at(0).integer(), r"list\[0\]: expected an integer, found 1\.5"),
         (lambda n: n.at("rows").numbers(2, 2), r"rows\[1\]: expected a list of 2 elements, found 1"),
         (lambda n: n.at("rows").numbers(3, -1), "rows: expected a list of 3 elements, found 2"),
         (lambda n: Node("n" * 300, n.path).file(), "no such file"),

@@ -70,7 +70,9 @@ def test_lengths_and_angles_state_their_unit() -> None:
 
 
 def test_an_unknown_schema_is_refused() -> None:
-    with pytest.raises(InputError, match="no schema 'poem'; expected one of: camera-1, design-scores-1"):
+    with pytest.raises(
+        InputError, match="no schema 'poem'; expected one of: camera-1, camera-calibration-1, design-scores-1"
+    ):
         load_schema("poem")
 
 
@@ -155,6 +157,8 @@ def test_what_a_schema_refuses_the_reader_refuses(tmp_path_factory: pytest.TempP
     @given(st.sampled_from(good).flatmap(lambda document: damaged(document, names)))
     @settings(max_examples=300, suppress_health_check=list(HealthCheck))
     def agree(document: Any) -> None:
+        if kind == "camera" and not (isinstance(document, dict) and "schema" in document):
+            return  # of another program, for all that the reader knows
         file.write_text(json.dumps(document))
         fits = check.is_valid(document)
         try:

@@ -8,11 +8,11 @@ import gtsam
 import numpy as np
 
 from optshape_graph import EstimationError, Target
-from optshape_graph.factors.se3 import inverse, skew
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.mapping import LandmarkSlam, Sighting
 from optshape_graph.mapping.motion import deskew, twist_between
 from optshape_graph.pose import estimate_pose
+from optshape_graph.se3 import inverse, skew
 from optshape_graph.simulation import NoiseModel, Patch, Scene, simulate
 from tests.factors.support import retract
 from tests.mapping.support import covariance

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph import Target
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.mapping.sighting import Sighting
+from optshape_graph.se3 import inverse
 from tests.factors.support import TARGET, measure, retract
 
 

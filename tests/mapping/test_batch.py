@@ -9,9 +9,9 @@ from optshape_graph import Target
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.evaluation.trajectories import consistency_of, pose_nees, predicted_rmse
 from optshape_graph.factors import ShapeMeasurement, TemplateCallbackFactor, shape_rows
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.mapping import MappingProblem, Match, Odometry, Sighting, Start, Track, factor_graph, solve_batch
 from optshape_graph.mapping.batch import pose_graph
+from optshape_graph.se3 import inverse
 from tests.factors.support import TARGET, edge_points, measure, retract
 from tests.mapping.support import at, covariance, loop
 

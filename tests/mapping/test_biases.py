@@ -5,9 +5,9 @@ import pytest
 
 from optshape_graph.evaluation.trajectories import pose_nees
 from optshape_graph.factors import fuse_static, inverse_covariance
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.mapping import MappingProblem, Match, Odometry, Sighting, Start, Track, solve_batch
 from optshape_graph.pose import estimate_pose
+from optshape_graph.se3 import inverse
 from optshape_graph.simulation import NoiseModel, simulate_target
 from tests.factors.support import log, random_pose
 from tests.mapping.driving import PAPER, SENSOR

@@ -5,8 +5,8 @@ import pytest
 
 from optshape_graph import Target
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.mapping import Landmark, LandmarkSlam, Map, Sighting, Start, solve_batch
+from optshape_graph.se3 import inverse
 from tests.factors.support import TARGET, measure, retract
 from tests.mapping.support import at, covariance, loop
 

@@ -7,9 +7,9 @@ import pytest
 
 from optshape_graph import Target
 from optshape_graph.errors import InputError
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping import Landmark, Map, load_map, merge_maps, save_map
+from optshape_graph.se3 import inverse
 from tests.factors.support import TARGET, log, random_pose, retract
 from tests.mapping.support import covariance
 

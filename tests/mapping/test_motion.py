@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from optshape_graph import Scan
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.evaluation.metrics import pose_error
-from optshape_graph.factors.se3 import inverse
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.mapping.motion import (
     MotionFactor,
@@ -21,6 +20,7 @@ from optshape_graph.mapping.motion import (
     twist_between,
 )
 from optshape_graph.pose import estimate_pose
+from optshape_graph.se3 import inverse
 from optshape_graph.simulation import ConstantTwist, NoiseModel, Patch, Scene, pose_from_rpy, simulate
 from tests.factors.support import random_pose, retract, seeds
 

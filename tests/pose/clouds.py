@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 
 from optshape_graph import Scan, SensorModel, Target
-from optshape_graph.calibration.mocap_comparison import align
+from optshape_graph.calibration.mocap.comparison import align
 from optshape_graph.io import load_sensor, load_target, read_scan
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target

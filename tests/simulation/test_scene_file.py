@@ -44,7 +44,7 @@ def test_without_lidar_it_stands_at_the_origin(tmp_path):
     ("old", "new", "message"),
     [
         ("floor: {height: -1.5}", "floor: {hight: -1.5}", r"scene.yaml:5.*hight"),
-        ("size: [10, 3]", "size: [10, 0]", r"scene.yaml:7.*2 lengths above 0"),
+        ("size: [10, 3]", "size: [10, 0]", r"scene.yaml:7.*number above 0"),
         ("reflectivity: 0.9", "reflectivity: 1.9", r"scene.yaml:3.*from 0 to 1"),
         ("target: paper", "target: papr", r"papr"),
         ("position: [6, 3, 0]", "position: [6, 3]", r"scene.yaml:4.*3 elements"),

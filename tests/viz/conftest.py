@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from optshape_graph.calibration.camera_calibration import CameraCalibration, calibrate
-from tests.calibration.camera_support import PINHOLE, synthetic_views
+from optshape_graph.calibration.camera.calibrate import CameraCalibration, calibrate
+from tests.calibration.camera.support import PINHOLE, synthetic_views
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from optshape_graph import InputError
-from optshape_graph.calibration.camera_export import as_document
+from optshape_graph.calibration.camera.export import as_document
 from optshape_graph.io import demo_folder, load_target, read_scan
 from optshape_graph.io.documents import write_json
 from optshape_graph.mapping import Landmark, Map, save_map
@@ -160,7 +160,7 @@ def test_other_documents_are_refused(tmp_path, document, message) -> None:
 
 
 def test_every_form_is_tested(results) -> None:
-    assert set(FORMS) == {*results, "camera"}
+    assert set(FORMS) == {*results, "camera-calibration"}
 
 
 def test_an_ellipsoid_has_the_covariance_s_axes() -> None:

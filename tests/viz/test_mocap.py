@@ -8,9 +8,9 @@ import pytest
 pytest.importorskip("matplotlib")
 
 import optshape_graph
-from optshape_graph.calibration.mocap import calibrate_mocap
-from optshape_graph.calibration.mocap_comparison import mean_error
-from optshape_graph.calibration.mocap_session import load_mocap_scans
+from optshape_graph.calibration.mocap.calibrate import calibrate_mocap
+from optshape_graph.calibration.mocap.comparison import mean_error
+from optshape_graph.calibration.mocap.session import load_mocap_scans
 from optshape_graph.io import load_session
 from optshape_graph.viz import mocap as viz
 from tests.viz.legible import assert_legible

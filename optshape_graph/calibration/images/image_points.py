@@ -8,6 +8,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
+from optshape_graph.se3 import apply
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,7 @@ class ImagePoints:
 
     def relabelled(self, S: Floats) -> ImagePoints:
         """Return the same pixels as points S p of the target, S (4, 4) one of `symmetries`."""
-        return replace(self, points=self.points @ S[:3, :3].T + S[:3, 3])
+        return replace(self, points=apply(S, self.points))
 
     def scaled_noise(self, factor: float) -> ImagePoints:
         """Return the points with the standard deviations of their pixels multiplied by a factor."""

@@ -16,6 +16,7 @@ from optshape_graph.calibration.images.projection import project
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import EstimationError
 from optshape_graph.io.image_files import opencv
+from optshape_graph.se3 import apply
 from optshape_graph.target import Target
 
 POINTS_PER_EDGE = 40
@@ -59,9 +60,7 @@ def fit_outline(
         _check_visible(visible, edge, len(target))
         fitted = _edge_points(target, points[visible], (pixels + shift[:, None] * normals)[visible], normals[visible])
         T = refine_pose(fitted, camera, T).T_camera_target
-    residual = np.abs(
-        np.einsum("ni,ni->n", fitted.pixels - project(camera, _moved(T, fitted.points)), normals[visible])
-    )
+    residual = np.abs(np.einsum("ni,ni->n", fitted.pixels - project(camera, apply(T, fitted.points)), normals[visible]))
     good = residual < 6 * EDGE_SIGMA_PX
     if good.mean() < 0.5:
         raise EstimationError(f"the outline fits only {good.mean():.0%} of the edge points found in the image")
@@ -83,18 +82,14 @@ def _edge_points(target: Target, points: Floats, pixels: Floats, normals: Floats
     return ImagePoints(points, pixels, W, tuple(turn_about((0.0, 0.0), angle) for angle in target.symmetries))
 
 
-def _moved(T: Floats, points: Floats) -> Floats:
-    return points @ T[:3, :3].T + T[:3, 3]
-
-
 def _projected_edges(
     camera: CameraIntrinsics, T: Floats, points: Floats, edge: np.ndarray, target: Target
 ) -> tuple[Floats, Floats]:
     """Return the pixels (N, 2) of points on the edges, and the unit normals of the projected edges, outwards."""
     outward = np.column_stack([np.zeros(len(target)), target.normals])[edge]
     along = np.column_stack([outward[:, 0], -outward[:, 2], outward[:, 1]]) * 1e-3
-    pixels = project(camera, _moved(T, points))
-    tangent = project(camera, _moved(T, points + along)) - pixels
+    pixels = project(camera, apply(T, points))
+    tangent = project(camera, apply(T, points + along)) - pixels
     # (y, z) turns the way (u, v) does on the side that the camera sees, so the outward normal is the tangent,
     # which runs counter-clockwise, turned back by a quarter.
     normals = np.column_stack([tangent[:, 1], -tangent[:, 0]])

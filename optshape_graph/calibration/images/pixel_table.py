@@ -8,7 +8,7 @@ import numpy as np
 
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.errors import InputError
-from optshape_graph.io.csv import read_csv
+from optshape_graph.io.clouds.text import read_table
 from optshape_graph.target import Target
 
 CORNER_SIGMA_PX = 0.5
@@ -28,7 +28,8 @@ def read_pixel_table(path: Path, target: Target) -> ImagePoints:
     Raises:
         InputError: other columns, a value that is no finite number, or a vertex that the target lacks.
     """
-    table = read_csv(path, ("vertex", "y", "z", "u", "v", "sigma"))
+    known = ("vertex", "y", "z", "u", "v", "sigma")
+    table = read_table(path, lambda names: [name for name in names if name.lower() in known], "vertex,u,v")
     columns = {name.lower(): np.asarray(values, float) for name, values in table.values.items()}
     for name, values in columns.items():
         if not np.isfinite(values).all():

@@ -13,8 +13,8 @@ from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.projection import normalised, project, projected, projection_derivative
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors.se3 import skew
 from optshape_graph.io.image_files import opencv
+from optshape_graph.se3 import apply, skew
 
 SAME_POSE = (np.radians(0.5), 2e-3)
 """Rotation, rad, and translation relative to the distance, under which two minima are one."""
@@ -100,7 +100,7 @@ def refine_pose(image: ImagePoints, camera: CameraIntrinsics, T_camera_target: F
 
 def pose_at(image: ImagePoints, camera: CameraIntrinsics, T_camera_target: Floats) -> PlanarPose:
     """Return the information and the reprojection error of a pose (4, 4)."""
-    errors = project(camera, image.points @ T_camera_target[:3, :3].T + T_camera_target[:3, 3]) - image.pixels
+    errors = project(camera, apply(T_camera_target, image.points)) - image.pixels
     _, J = whitened_errors(image, camera, T_camera_target)
     return PlanarPose(T_camera_target, J.T @ J, float(np.sqrt((errors**2).sum(axis=1).mean())))
 

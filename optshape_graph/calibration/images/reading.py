@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
+from optshape_graph.calibration.camera.sightings import TargetInImage
 from optshape_graph.calibration.images.chessboard import find_chessboard
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.outline import fit_outline
 from optshape_graph.calibration.images.pixel_table import read_pixel_table
 from optshape_graph.calibration.images.planar_pose import planar_poses
 from optshape_graph.calibration.images.tags import find_tags
-from optshape_graph.calibration.sightings import TargetInImage
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.files import read_bytes

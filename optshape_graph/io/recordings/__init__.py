@@ -2,11 +2,10 @@
 
 from optshape_graph.io.recordings.clocks import ClockOffset, estimate_clock_offset, marker_rotations
 from optshape_graph.io.recordings.extraction import Extraction, Selection, estimate_mocap_offset, extract_session
-from optshape_graph.io.recordings.frames import Mounting
 from optshape_graph.io.recordings.images import CompressedImage, Image, RawImage
 from optshape_graph.io.recordings.recording import Recording
 from optshape_graph.io.recordings.stream import Skipped, Stamped, Stream
-from optshape_graph.io.recordings.topics import Topic
+from optshape_graph.io.recordings.topics import Mounting, Topic
 
 __all__ = [
     "ClockOffset",

@@ -17,7 +17,6 @@ from optshape_graph.errors import InputError
 from optshape_graph.io.documents import write_json
 from optshape_graph.io.mocap import MocapRecording
 from optshape_graph.io.recordings.clocks import ClockOffset, estimate_clock_offset, marker_rotations
-from optshape_graph.io.recordings.pairing import ROUNDING, pair, spaced
 from optshape_graph.io.recordings.recording import Recording
 from optshape_graph.io.recordings.sessionfiles import (
     Track,
@@ -27,7 +26,7 @@ from optshape_graph.io.recordings.sessionfiles import (
     write_scans,
     write_session,
 )
-from optshape_graph.io.recordings.stream import Stream
+from optshape_graph.io.recordings.stream import ROUNDING, Stream, pair, spaced
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 

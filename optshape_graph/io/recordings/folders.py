@@ -17,10 +17,10 @@ from typing import Any
 from optshape_graph.errors import InputError
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.files import inside, is_file, read_bytes, read_text
-from optshape_graph.io.recordings.epochs import ticks_per_second
 from optshape_graph.io.recordings.images import CompressedImage
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.recordings.topics import Kind, Topic
+from optshape_graph.io.times import ticks_per_second
 from optshape_graph.io.trajectories import read_tum
 from optshape_graph.sensor import SensorModel
 

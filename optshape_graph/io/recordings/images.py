@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
-from optshape_graph.io.cameras import ROS_MODELS
+from optshape_graph.io.foreign_cameras import make_camera
 from optshape_graph.io.image_files import decode_image, opencv
 from optshape_graph.io.recordings.stream import BadMessage
 
@@ -117,17 +117,13 @@ def camera_intrinsics(message: Any, name: str) -> CameraIntrinsics:
         name: of the camera.
 
     Raises:
-        BadMessage: not calibrated, of binned or cropped images, or of an unknown distortion model.
+        BadMessage: not calibrated, of binned or cropped images, or of a distortion model that is not read here.
     """
     K, D = (message.K, message.D) if hasattr(message, "K") else (message.k, message.d)
-    model = ROS_MODELS.get(message.distortion_model)
-    if model is None:
-        raise BadMessage("unknown distortion model", f"'{message.distortion_model}'")
     if max(message.binning_x, message.binning_y) > 1 or message.roi.width or message.roi.height:
         raise BadMessage("intrinsics of binned or cropped images", f"binning {message.binning_x} x {message.binning_y}")
-    D = D[:4] if model == "equidistant" and not D[4:].any() else D
     try:
-        return CameraIntrinsics(name, model, int(message.width), int(message.height), K.reshape(3, 3), D)
+        return make_camera(name, message.distortion_model, int(message.width), int(message.height), K, D)
     except InputError as error:
         raise BadMessage("camera not calibrated", str(error)) from error
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optshape_graph.io.columns import Columns
+from optshape_graph.io.clouds.columns import Columns
 from optshape_graph.io.recordings.stream import BadMessage
 
 TYPES = frozenset(

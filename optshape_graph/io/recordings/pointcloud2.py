@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from optshape_graph.io.columns import Columns
+from optshape_graph.io.clouds.columns import Columns
 from optshape_graph.io.recordings.stream import BadMessage
 
 FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}

@@ -12,10 +12,9 @@ from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.recordings.bags import Bag, is_bag
 from optshape_graph.io.recordings.folders import Folder
-from optshape_graph.io.recordings.frames import Mounting, chained
 from optshape_graph.io.recordings.images import Image
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped, Stream
-from optshape_graph.io.recordings.topics import Kind, Topic, choose, listed
+from optshape_graph.io.recordings.topics import Kind, Mounting, Topic, chained, choose, listed
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
 

@@ -1,4 +1,4 @@
-"""Streams of stamped values: what cannot be used is skipped with a reason and counted, nothing else is lost."""
+"""Streams of stamped values: what cannot be used is skipped with a reason and counted; what of two belongs together."""
 
 from __future__ import annotations
 
@@ -9,10 +9,17 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+
+from optshape_graph._arrays import Floats, Ints
+
 T = TypeVar("T")
 
 LOOKAHEAD = 8
 """Number of following stamps that decide whether a stamp is in order."""
+
+ROUNDING = 1e-6
+"""Stamps of an epoch in seconds are rounded to a quarter of this, as 64-bit floats."""
 
 log = logging.getLogger(__name__)
 
@@ -134,3 +141,40 @@ def _longest_increasing(stamps: Iterable[float]) -> int:
         k = bisect_left(smallest_end, stamp)
         smallest_end[k : k + 1] = [stamp]
     return len(smallest_end)
+
+
+def nearest(stamps: Floats, others: Floats) -> Ints:
+    """(N,) index of the stamp among `others` (M,), increasing and not empty, that is nearest to each of `stamps`."""
+    after = np.searchsorted(others, stamps).clip(1, max(len(others) - 1, 1))
+    if len(others) == 1:
+        return np.zeros(len(stamps), dtype=np.int64)
+    return np.where(stamps - others[after - 1] <= others[after] - stamps, after - 1, after)
+
+
+def pair(stamps: Floats, others: Floats, tolerance: float) -> Ints:
+    """Pair each stamp with the nearest of the others, if it is that one's nearest too and not too far.
+
+    Args:
+        stamps: (N,) seconds, increasing.
+        others: (M,) seconds, increasing, of the same clock.
+        tolerance: largest difference, seconds.
+
+    Returns:
+        (N,) index into `others`, or -1. No index is there twice.
+    """
+    if not len(stamps) or not len(others):
+        return np.full(len(stamps), -1, dtype=np.int64)
+    there = nearest(stamps, others)
+    back = nearest(others, stamps)
+    paired = (back[there] == np.arange(len(stamps))) & (np.abs(others[there] - stamps) <= tolerance)
+    return np.where(paired, there, -1)
+
+
+def spaced(stamps: Floats, interval: float) -> np.ndarray:
+    """(N,) whether to keep each stamp so that kept ones are at least `interval` apart, the first being kept."""
+    keep = np.zeros(len(stamps), dtype=bool)
+    last = -np.inf
+    for k, stamp in enumerate(stamps):
+        keep[k] = stamp - last >= interval - ROUNDING
+        last = stamp if keep[k] else last
+    return keep

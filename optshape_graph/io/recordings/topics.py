@@ -1,12 +1,15 @@
-"""Topics of a recording, and the choice of one."""
+"""Topics of a recording and the choice of one; the frames that topics are in, linked by static transforms."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
+from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
 
 Kind = Literal["scan", "image", "camera", "pose", "other"]
@@ -56,3 +59,41 @@ def choose(topics: Sequence[Topic], kind: Kind, name: str | None, path: Path) ->
 def listed(topics: Sequence[Topic]) -> str:
     """Return topics in words."""
     return ", ".join(f"{topic.name} ({topic.type})" for topic in topics) or "none"
+
+
+@dataclass(frozen=True, eq=False)
+class Mounting:
+    """The LiDAR on the body that moves.
+
+    Attributes:
+        body: frame that the poses are of; empty: the recording does not say.
+        lidar: frame of the scans; empty: the recording does not say.
+        T_body_lidar: (4, 4); None: the recording does not say.
+    """
+
+    body: str
+    lidar: str
+    T_body_lidar: Floats | None
+
+
+def chained(static: Mapping[tuple[str, str], Floats], a: str, b: str) -> Floats | None:
+    """Return T_a_b (4, 4), by way of static transforms T_parent_child, or None where none lead from a to b.
+
+    Args:
+        static: T_parent_child (4, 4) by names of parent and child.
+        a: name of a frame.
+        b: name of a frame.
+    """
+    neighbours: dict[str, dict[str, Floats]] = {}
+    for (parent, child), T in static.items():
+        neighbours.setdefault(parent, {})[child] = T
+        neighbours.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(T), float)
+    reached = {a: np.eye(4)}
+    front = [a]
+    while front and b not in reached:
+        frame = front.pop(0)
+        for neighbour, T in neighbours.get(frame, {}).items():
+            if neighbour not in reached:
+                reached[neighbour] = reached[frame] @ T
+                front.append(neighbour)
+    return reached.get(b)

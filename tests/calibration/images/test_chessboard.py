@@ -3,16 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from optshape_graph.calibration.camera.sightings import TargetInImage
 from optshape_graph.calibration.images.chessboard import chessboard_points, find_chessboard
 from optshape_graph.calibration.images.planar_pose import planar_poses
 from optshape_graph.calibration.images.reading import ImageTask, find_targets, read_grey
-from optshape_graph.calibration.sightings import TargetInImage
 from optshape_graph.errors import EstimationError
 from optshape_graph.evaluation.rendering import render_target
 from optshape_graph.io import load_session
 from optshape_graph.io.documents import read_json
 from optshape_graph.target import Chessboard
-from tests.calibration.camera_support import BOARD, FISHEYE, PINHOLE, T_CAMERA_LIDAR, placement
+from tests.calibration.camera.support import BOARD, FISHEYE, PINHOLE, T_CAMERA_LIDAR, placement
 from tests.shared import SHARED, needs_shared
 
 

@@ -9,7 +9,7 @@ from optshape_graph.calibration.images.planar_pose import refine_pose
 from optshape_graph.errors import EstimationError
 from optshape_graph.evaluation.rendering import render_target
 from optshape_graph.target import Target
-from tests.calibration.camera_support import BOARD, FISHEYE, T_CAMERA_LIDAR, placement, transform
+from tests.calibration.camera.support import BOARD, FISHEYE, T_CAMERA_LIDAR, placement, transform
 
 PLAIN = replace(BOARD, chessboard=None)
 TRIANGLE = Target.from_polygon([(-0.5, -0.3), (0.5, -0.35), (0.05, 0.5)], "triangle")

@@ -3,7 +3,7 @@ import pytest
 
 from optshape_graph.calibration.images.pixel_table import read_pixel_table
 from optshape_graph.errors import InputError
-from tests.calibration.camera_support import BOARD
+from tests.calibration.camera.support import BOARD
 
 
 def test_vertices_and_points(tmp_path):

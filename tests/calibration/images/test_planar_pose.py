@@ -10,7 +10,7 @@ from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import planar_poses
 from optshape_graph.calibration.images.projection import normalised, project, projection_derivative
 from optshape_graph.errors import EstimationError
-from tests.calibration.camera_support import (
+from tests.calibration.camera.support import (
     BOARD,
     CORNER_NOISE_PX,
     FISHEYE,

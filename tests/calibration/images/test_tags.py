@@ -8,7 +8,7 @@ from optshape_graph.calibration.images.tags import find_tags, tag_points
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.evaluation.rendering import render_target
 from optshape_graph.target import Tags
-from tests.calibration.camera_support import BOARD, FISHEYE, T_CAMERA_LIDAR, placement
+from tests.calibration.camera.support import BOARD, FISHEYE, T_CAMERA_LIDAR, placement
 
 CENTRES = {3: (0.15, 0.2), 7: (-0.15, 0.2), 11: (0.0, -0.2)}
 

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optshape_graph.io.recordings.pairing import nearest, pair, spaced
+from optshape_graph.io.recordings.stream import nearest, pair, spaced
 
 STAMPS = st.lists(st.integers(0, 500), unique=True, max_size=30).map(lambda s: np.sort(np.array(s, float)) / 100)
 

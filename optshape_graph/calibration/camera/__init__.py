@@ -1,0 +1,1 @@
+"""Calibration of LiDARs and cameras from views of targets."""

@@ -1,0 +1,37 @@
+"""The noise of pixels, from how well the images' own poses fit them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from optshape_graph.calibration.camera.sightings import TargetInImage, View
+from optshape_graph.calibration.images.projection import project
+from optshape_graph.se3 import apply
+
+PRIOR_RESIDUALS = 20.0
+"""Residuals' worth of trust in the noise that the pixels are stated with."""
+
+
+def with_estimated_pixel_noise(views: Sequence[View]) -> list[View]:
+    """Scale the pixels' noise, one factor for each camera, to what is left when every image is fitted by itself."""
+    sums: dict[str, float] = {}
+    freedom: dict[str, float] = {}
+    for image in (view.image for view in views if view.image is not None):
+        T, points = image.poses[0].T_camera_target, image.points
+        errors = project(image.camera, apply(T, points.points)) - points.pixels
+        whitened = np.einsum("nij,nj->ni", points.sqrt_information, errors)
+        # A point of an edge measures across it only: one residual, not two.
+        strength = np.linalg.svd(points.sqrt_information, compute_uv=False)
+        name = image.camera.name
+        sums[name] = sums.get(name, PRIOR_RESIDUALS) + float((whitened**2).sum())
+        freedom[name] = freedom.get(name, PRIOR_RESIDUALS) + float((strength > 0.01 * strength.max()).sum() - 6)
+    return [view if view.image is None else replace(view, image=_scaled(view.image, sums, freedom)) for view in views]
+
+
+def _scaled(image: TargetInImage, sums: dict[str, float], freedom: dict[str, float]) -> TargetInImage:
+    factor = float(np.sqrt(sums[image.camera.name] / freedom[image.camera.name]))
+    poses = tuple(replace(pose, information=pose.information / factor**2) for pose in image.poses)
+    return replace(image, points=image.points.scaled_noise(factor), poses=poses)

@@ -1,0 +1,240 @@
+"""A session's files to views: what each scan and each image shows of the targets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from threading import Lock
+
+import numpy as np
+from scipy.cluster.hierarchy import DisjointSet
+
+from optshape_graph._arrays import Floats
+from optshape_graph.calibration.camera.crops import planar_returns
+from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan, View
+from optshape_graph.calibration.images.reading import ImageTask, find_targets
+from optshape_graph.detection import detect_targets
+from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.factors import RANGE_BIAS, SharedError
+from optshape_graph.io import Session, read_scan
+from optshape_graph.io import View as Entry
+from optshape_graph.pose import PoseEstimate, estimate_pose
+from optshape_graph.scan import Scan
+from optshape_graph.se3 import adjoint, vec_derivative
+from optshape_graph.sensor import SensorModel
+from optshape_graph.target import Target
+
+Progress = Callable[[int, int], None]
+"""Called with how many files are done, and how many there are."""
+
+ImageKey = tuple[Path, str, str]
+"""File, camera and target."""
+
+ScanResult = TargetInScan | EstimationError | InputError
+ImageResult = TargetInImage | EstimationError | InputError
+
+
+def read_views(session: Session, use_target_points: bool = False, progress: Progress | None = None) -> list[View]:
+    """Find the session's targets in its scans and images.
+
+    A file that cannot be read or shows no target becomes a view's `problem`, so that the others still count.
+
+    Args:
+        session: with at least one camera.
+        use_target_points: whether to take the target's returns from the views' manual crops.
+        progress: called as images and scans are done.
+
+    Raises:
+        InputError: the session has no camera, no view with an image, or lacks the crops that were asked for; or the
+            intrinsics fit none of the images.
+    """
+    if not any(entry.image for entry in session.views):
+        raise InputError(
+            f"{session.path}: no view has an image; a camera calibration needs views with a scan and an image"
+        )
+    image_tasks, scan_tasks = _image_tasks(session), _scan_tasks(session, use_target_points)
+    total, done, lock = len(image_tasks) + len(scan_tasks), 0, Lock()
+
+    def tick() -> None:
+        nonlocal done
+        with lock:
+            done += 1
+            if progress is not None:
+                progress(done, total)
+
+    # OpenCV lets go of the interpreter, so images and scans are worked on at once.
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        pending = pool.submit(_read_images, image_tasks, tick)
+        scans = _read_scans(session, scan_tasks, use_target_points, tick)
+        images = pending.result()
+    placements = _placements(session.views)
+    views = []
+    for number, entry in enumerate(session.views):
+        for name in entry.targets:
+            scan = scans[_scan_file(entry, use_target_points), entry.lidar, name]
+            image = images.get((entry.image, entry.camera, name)) if entry.image and entry.camera else None
+            problems = [str(found) for found in (scan, image) if isinstance(found, Exception)]
+            views.append(
+                View(
+                    placement=f"{placements[number]}:{name}",
+                    target=replace(session.targets[name], name=name),  # two boards of one file are two boards
+                    scan=scan if isinstance(scan, TargetInScan) else None,
+                    image=image if isinstance(image, TargetInImage) else None,
+                    scan_name=_relative(entry.scan, session),
+                    image_name=_relative(entry.image, session) if entry.image else "",
+                    problem="; ".join(problems),
+                )
+            )
+    return views
+
+
+def target_in_scan(
+    returns: Scan, target: Target, lidar: str, estimate: PoseEstimate | None = None, scan: Scan | None = None
+) -> TargetInScan:
+    """Return what a scan's returns on a target say, for calibration.
+
+    Args:
+        returns: the returns on the target and no others.
+        target: the target.
+        lidar: name of the LiDAR.
+        estimate: of these returns, if there is one already.
+        scan: the whole scan, for overlays.
+
+    Raises:
+        EstimationError: no pose can be estimated, or it is not to be used.
+    """
+    estimate = estimate_pose(returns, target) if estimate is None else estimate
+    if estimate.status == "failed" or estimate.shared is None:
+        raise EstimationError(f"{returns.name}: {estimate.reason}")
+    shared, shared_effect = _shared_errors(estimate)
+    return TargetInScan(
+        lidar=lidar,
+        scan=returns.name,
+        T_lidar_target=estimate.T_lidar_target,
+        covariance=estimate.covariance,
+        measurement=estimate.measurement,
+        shared=shared,
+        shared_effect=shared_effect,
+        edge_inset=estimate.inset_rad,
+        own=returns,
+        all_returns=(scan or returns).points,
+    )
+
+
+def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[SharedError, ...], Floats]:
+    """Return the rings whose range biases move the pose, and how: (6, R), right perturbation of T_lidar_target.
+
+    The estimate allows for biases delta of its own; beside true ones beta it minimises
+    ||S_pose x + S_bias (delta + beta) ||^2 + ||delta||^2.
+    """
+    assert estimate.shared is not None
+    stack, errors = estimate.shared.stack, estimate.shared.shared
+    k = len(errors)
+    by_pose = stack[:, k:-1] @ vec_derivative(estimate.T_target_lidar)
+    rows = np.block([[by_pose, stack[:, :k]], [np.zeros((k, 6)), np.eye(k)]])
+    rings = [j for j, error in enumerate(errors) if error.kind == RANGE_BIAS]
+    biases = np.vstack([stack[:, rings], np.zeros((k, len(rings)))])
+    x = np.linalg.lstsq(rows, -biases, rcond=None)[0][:6]
+    # (T Exp(x))^-1 = T^-1 Exp(-Ad(T) x)
+    return tuple(errors[j] for j in rings), np.asarray(-adjoint(estimate.T_target_lidar) @ x)
+
+
+def _image_tasks(session: Session) -> dict[ImageKey, ImageTask]:
+    return {
+        (entry.image, entry.camera, name): ImageTask(
+            entry.image, session.targets[name], replace(session.cameras[entry.camera], name=entry.camera), entry.corners
+        )
+        for entry in session.views
+        if entry.image is not None and entry.camera is not None
+        for name in entry.targets
+    }
+
+
+def _scan_tasks(session: Session, use_target_points: bool) -> dict[tuple[Path, str], list[str]]:
+    """Return the targets to look for in each scan of each LiDAR."""
+    wanted: dict[tuple[Path, str], list[str]] = {}
+    for entry in session.views:
+        names = wanted.setdefault((_scan_file(entry, use_target_points), entry.lidar), [])
+        names.extend(name for name in entry.targets if name not in names)
+    return wanted
+
+
+def _read_images(tasks: Mapping[ImageKey, ImageTask], tick: Callable[[], None]) -> dict[ImageKey, ImageResult]:
+    found = find_targets(list(tasks.values()), tick)
+    unfit = [error for error in found if isinstance(error, InputError)]
+    if unfit and len(unfit) == len(found):
+        raise unfit[0]
+    return dict(zip(tasks, found, strict=True))
+
+
+def _read_scans(
+    session: Session, tasks: Mapping[tuple[Path, str], list[str]], are_crops: bool, tick: Callable[[], None]
+) -> dict[tuple[Path, str, str], ScanResult]:
+    results: dict[tuple[Path, str, str], ScanResult] = {}
+    for (path, lidar), names in tasks.items():
+        targets = {name: session.targets[name] for name in names}
+        for name, result in _in_scan(path, session.lidars[lidar], lidar, targets, are_crops).items():
+            results[path, lidar, name] = result
+        tick()
+    return results
+
+
+def _in_scan(
+    path: Path, sensor: SensorModel, lidar: str, targets: Mapping[str, Target], is_crop: bool
+) -> dict[str, ScanResult]:
+    """Find targets in one scan: in a crop by cleaning it, in a full one by detection."""
+    try:
+        scan = read_scan(path, sensor)
+        if not is_crop:
+            return _detected(scan, lidar, targets)
+        if len(targets) > 1:
+            raise InputError(
+                f"{path}: a crop of {len(targets)} targets ({', '.join(targets)}); expected one target a view"
+            )
+        ((name, target),) = targets.items()
+        return {name: target_in_scan(planar_returns(scan), target, lidar, scan=scan)}
+    except (EstimationError, InputError) as error:
+        return dict.fromkeys(targets, error)
+
+
+def _detected(scan: Scan, lidar: str, targets: Mapping[str, Target]) -> dict[str, ScanResult]:
+    """Find targets in a full scan; of several of one kind, the most certain."""
+    named = {name: replace(target, name=name) for name, target in targets.items()}
+    detections = detect_targets(scan, list(named.values()))
+    results: dict[str, ScanResult] = {}
+    for name in targets:
+        found = [one for one in detections.found if one.target.name == name and one.estimate.status != "failed"]
+        if found:
+            best = max(found, key=lambda one: one.score)
+            results[name] = target_in_scan(scan.select(best.indices), best.target, lidar, best.estimate, scan)
+        else:
+            closest = max(detections.rejected, key=lambda one: one.area, default=None)
+            why = f"; the largest surface turned down: {closest.reason}" if closest else ""
+            results[name] = EstimationError(f"{scan.name}: target '{name}' not found in the scan{why}")
+    return results
+
+
+def _scan_file(entry: Entry, use_target_points: bool) -> Path:
+    if not use_target_points:
+        return entry.scan
+    if entry.target_points is None:
+        raise InputError(f"{entry.scan}: the view has no 'target_points', which were asked for")
+    return entry.target_points
+
+
+def _placements(entries: Sequence[Entry]) -> list[int]:
+    """Return a number for each view, the same where they share a scan, an image or a stamp."""
+    groups = DisjointSet(range(len(entries)))
+    first: dict[object, int] = {}
+    for number, entry in enumerate(entries):
+        for mark in (entry.scan, entry.image, entry.stamp):
+            if mark is not None:
+                groups.merge(first.setdefault(mark, number), number)
+    return [groups[number] for number in range(len(entries))]
+
+
+def _relative(path: Path, session: Session) -> str:
+    folder = session.path.parent
+    return str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)

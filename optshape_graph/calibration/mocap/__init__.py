@@ -1,0 +1,1 @@
+"""Calibration of a LiDAR to motion capture."""

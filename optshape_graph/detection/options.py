@@ -1,0 +1,85 @@
+"""Settings of detection, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from optshape_graph.detection.results import Evidence
+
+
+@dataclass(frozen=True)
+class DetectionOptions:
+    """Settings of `detect_targets`. The defaults suit spinning LiDARs of 16 to 128 rings.
+
+    Each attribute says its unit, how its default was chosen, and the test in tests/detection that fails when it is
+    wrong.
+
+    Attributes:
+        longest_gap: azimuth steps. Two returns of a ring that are further apart are cut apart. Rings on real targets
+            have gaps of up to four steps. Test: test_segments.py, lost returns.
+        steepest: rad. Surfaces seen at a larger angle of incidence are not taken for targets. Beyond 75 degrees a
+            square metre spans fewer than four rings of most sensors. Test: test_segments.py, slanted wall.
+        jump_sigmas: standard deviations of a range. A range that departs further from the straight line through its
+            neighbours starts another surface. Four cuts 1 in 16,000 returns of one surface by mistake.
+            Test: test_segments.py, jump and slanted wall.
+        fewest_returns: a run of fewer returns has no direction. Three are the fewest with a residual.
+            Test: test_segments.py, ends of a panel.
+        rings_apart: rings. Runs of one surface are linked up to this many rings apart. A ring on a real target may
+            have no return at all, so two. Test: test_detect.py, empty ring.
+        tilt_window: rad. Runs near each other vote for one plane if the tilts that they stand for agree this well.
+            Test: test_detect.py, found with its returns.
+        patch_sigmas: standard deviations of a return about its plane. A run whose root mean square distance is larger
+            is not of that plane. Test: test_detect.py, hung before a wall.
+        band_sigmas: standard deviations of a return about its plane. A return further off the plane is not the
+            target's. 2.5 keep 98.8 %. Test: test_detect.py, found with its returns.
+        flatness: metres, standard deviation. How far a target departs from a plane, and the estimate of the plane from
+            it. Test: test_recordings.py, its returns.
+        fewest_rings: rings on a target. The ends of three rings say little more than its size.
+            Test: test_candidates.py, three rings.
+        size_seen: share of a target's area, and of its spread, that must be covered in full view.
+            Test: test_candidates.py, sizes.
+        size_seen_hidden: the same where something stands before the target. Test: test_candidates.py, sizes.
+        size_seen_cut: the same where the target reaches the lowest or highest ring. The nearest recorded boards do.
+            Test: test_candidates.py, sizes.
+        size_excess: share by which a target may seem too large. Half a step at both ends of each ring, mixed returns
+            and a bit of a stand add up to this at most. Test: test_candidates.py, sizes.
+        thickest_limb: metres. Arms and poles are up to this wide. Test: test_candidates.py, an arm.
+        limb_slack: azimuth steps by which a line through two ring ends may miss a third.
+            Test: test_candidates.py, a convex outline has no limbs.
+        least_evidence: the share of each kind that a target must reach. Stands and arms touch it, hands hide it,
+            returns get lost. Tests: test_detect.py, test_recordings.py.
+        rim: width of the strip beside the target that is looked at, as a share of the distance from its origin to its
+            outline. Test: test_detect.py, window in a wall.
+        pierced_rays: rays of a ring that pass through the target's place, at least, before the ring is not its.
+            Test: test_detect.py, pole in the plane.
+        pierced_share: and their number as a multiple of the ring's returns on it. Test: test_detect.py, pole in the
+            plane.
+        rounds: the returns are chosen again, by the pose that they gave, at most this often. The recorded boards come
+            to rest in two. Test: test_detect.py, an arm in its plane.
+    """
+
+    longest_gap: float = 4.5
+    steepest: float = float(np.radians(75.0))
+    jump_sigmas: float = 4.0
+    fewest_returns: int = 3
+    rings_apart: int = 2
+    tilt_window: float = float(np.radians(20.0))
+    patch_sigmas: float = 3.0
+    band_sigmas: float = 2.5
+    flatness: float = 0.005
+    fewest_rings: int = 4
+    size_seen: float = 0.8
+    size_seen_hidden: float = 0.6
+    size_seen_cut: float = 0.3
+    size_excess: float = 0.2
+    thickest_limb: float = 0.12
+    limb_slack: float = 3.0
+    least_evidence: Evidence = field(
+        default=Evidence(contained=0.8, covered=0.6, edged=0.75, solid=0.9, free=0.75, stepped=0.75)
+    )
+    rim: float = 0.4
+    pierced_rays: int = 6
+    pierced_share: float = 3.0
+    rounds: int = 3

@@ -1,0 +1,220 @@
+"""Rings as the package counts them: by elevation, the lowest first, and as rows of the sensor's table where known.
+
+Drivers number beams from the bottom, from the top or in firing order, from 0 or 1. The elevation of a beam is far
+better known than anything else in a return (noise is along the ray), so it decides.
+"""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optshape_graph._arrays import Floats, Ints
+from optshape_graph.errors import InputError
+from optshape_graph.sensor import SensorModel
+
+_LOG = logging.getLogger(__name__)
+
+COUNTED_TOLERANCE = np.radians(0.5)
+"""How far a unit's beam may be from its data sheet's elevation where its number says which beam it is, rad."""
+
+ELEVATION_TOLERANCE = np.radians(0.3)
+"""The same where only the elevation says so."""
+
+BEAM_ORIGIN_TOLERANCE_M = 0.04
+"""How far above or below the origin a beam may start, metres: 36 mm in Ouster's sensor frame."""
+
+LEVEL = np.radians(0.6)
+"""Largest scatter of a beam's elevations that is taken for noise, rad: real beams have next to none, simulations have
+been published with 0.5 deg."""
+
+_MEDIAN_EFFICIENCY = 1.2533
+"""Standard error of a median relative to that of a mean: sqrt(pi / 2), of normal noise."""
+
+SWEEP_BACK = np.radians(3.0)
+"""By more than this the azimuth jumps back where the next beam's sweep begins, rad."""
+
+SWEEP_JITTER = np.radians(0.2)
+"""By as much sweeps of different beams may begin apart, rad."""
+
+MOST_SWEEPS = 256
+"""Beams of the largest sensors."""
+
+LARGEST_STRAY_SHARE = 0.1
+"""Share of returns between the rows of a table that still fits."""
+
+
+def rings_of_ids(points: Floats, ids: Ints, sensor: SensorModel | None, name: str) -> Ints | None:
+    """Turn the beam numbers of a driver into rings.
+
+    With a sensor, ring r is the row r of its table. Without, numbers that follow the elevation (to within its noise)
+    are kept, numbers that run from the top down are counted from the highest number that occurs, and others are ranked
+    by elevation.
+
+    Args:
+        points: (N, 3) metres, LiDAR frame.
+        ids: (N,) beam numbers.
+        sensor: the sensor that made them, if known.
+        name: the source, for messages.
+
+    Returns:
+        (N,) rings, or None where the numbers are not rings: their returns are no more level than the cloud (Livox
+        numbers its laser lines, whose pattern is not one of rings).
+
+    Raises:
+        InputError: the sensor's table does not fit the elevations.
+    """
+    counts = np.bincount(ids)
+    present = np.flatnonzero(counts)
+    inverse, counts = np.asarray(np.cumsum(counts > 0) - 1)[ids], counts[present]
+    elevation = _elevations(points)
+    if not _are_level(elevation, inverse, counts):
+        if sensor is not None:
+            raise _misfit(name, sensor, "the returns of one beam are at many elevations")
+        _LOG.warning("%s: beam numbers do not follow the elevation; read as a cloud without rings", name)
+        return None
+    medians = _medians(elevation, inverse, len(present))
+    noise = 3 * _MEDIAN_EFFICIENCY * float(np.std(elevation - medians[inverse])) / np.sqrt(counts)
+    if sensor is not None:
+        ranges = _medians(np.linalg.norm(points, axis=1), inverse, len(present))
+        return _rows_of_table(present, medians, noise, ranges, sensor, name)[inverse]
+    rise, noise_of_rise = np.diff(medians), np.hypot(noise[1:], noise[:-1])
+    if (rise > -noise_of_rise).all():
+        return ids
+    if (rise < noise_of_rise).all():
+        return np.asarray(present[-1] - ids)
+    return np.argsort(np.argsort(medians))[inverse]
+
+
+def rings_of_elevations(points: Floats, sensor: SensorModel, name: str) -> Ints:
+    """Recover rings from the elevations of (N, 3) points, metres, LiDAR frame.
+
+    Raises:
+        InputError: the sensor's table does not fit the elevations.
+    """
+    elevation = _elevations(points)
+    ring = sensor.nearest_ring(elevation)
+    misfit = np.abs(elevation - sensor.elevations[ring])
+    excess = misfit - _free_tolerance(ring, np.linalg.norm(points, axis=1), sensor)
+    if np.mean(excess > 0) > LARGEST_STRAY_SHARE:
+        k = int(np.argmax(excess))
+        raise _misfit(
+            name,
+            sensor,
+            f"{np.mean(excess > 0):.0%} of the returns lie between its rows, one at "
+            f"{np.degrees(elevation[k]):.3f} deg, the nearest row at {np.degrees(sensor.elevations[ring[k]]):.3f} deg",
+        )
+    return ring
+
+
+def rings_by_firing(points: Floats, sensor: SensorModel | None, name: str) -> Ints | None:
+    """Recover rings from the order of returns, where the file keeps each beam's sweep together, as KITTI's do.
+
+    A beam's sweep ends where the azimuth jumps back, or where it has gone round; the next is of the next beam.
+
+    Args:
+        points: (N, 3) metres, LiDAR frame, in the order of the file.
+        sensor: the sensor that made them, if known.
+        name: the source, for messages.
+
+    Returns:
+        (N,) rings, or None where the order does not show any, or shows other ones than the sensor has.
+    """
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    step = np.angle(np.exp(1j * np.diff(azimuth)))
+    direction = float(np.sign(np.median(step[step != 0]))) if step.any() else 0.0
+    if direction == 0:
+        return None
+    phase = np.mod(direction * (azimuth - azimuth[0]) + SWEEP_JITTER, 2 * np.pi)
+    back = (direction * step < -SWEEP_BACK) | (np.diff(phase) < -np.pi)
+    sweep = np.concatenate([[0], np.cumsum(back)])
+    if not 2 <= sweep[-1] + 1 <= MOST_SWEEPS or not _are_level(_elevations(points), sweep, np.bincount(sweep)):
+        return None
+    try:
+        return rings_of_ids(points, sweep, sensor, name)
+    except InputError as error:
+        _LOG.info("%s: the order of firing shows %d beams: %s", name, sweep[-1] + 1, error)
+        return None
+
+
+def _elevations(points: Floats) -> Floats:
+    return np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+
+
+def _medians(values: Floats, group: NDArray[np.intp], n: int) -> Floats:
+    """(n,) median of the values of each group."""
+    order = np.argsort(group.astype(np.uint16), kind="stable")  # of 16 bits: counted, not compared
+    parts = np.split(values[order], np.cumsum(np.bincount(group, minlength=n))[:-1])
+    return np.array([np.median(part) for part in parts])
+
+
+def _are_level(elevation: Floats, group: NDArray[np.intp], counts: NDArray[np.intp]) -> bool:
+    """Whether beam numbers explain most of the variance of the elevation, or there is next to none to explain."""
+    means = np.bincount(group, elevation) / counts
+    within = float(np.mean((elevation - means[group]) ** 2))
+    return within < 0.5 * float(np.var(elevation)) or within < LEVEL**2
+
+
+def _rows_of_table(
+    present: Ints, medians: Floats, noise: Floats, ranges: Floats, sensor: SensorModel, name: str
+) -> Ints:
+    """The table's row of each beam number: numbers as drivers count them if those fit, else by elevation alone.
+
+    Args:
+        present: (m,) beam numbers.
+        medians: (m,) elevation of each, rad.
+        noise: (m,) by how much the medians may be off by chance, rad.
+        ranges: (m,) median range of each, metres.
+        sensor: whose table.
+        name: the source, for messages.
+    """
+    n, table = sensor.n_rings, sensor.elevations
+    if len(present) > n:
+        raise _misfit(name, sensor, f"the cloud has {len(present)} rings, the sensor {n}")
+    numberings = (present, n - 1 - present, present - 1, n - present)  # from the bottom or the top, from 0 or 1
+    counted = [rows for rows in numberings if rows.min() >= 0 and rows.max() < n]
+    misfits = [np.maximum(np.abs(medians - table[rows]) - noise, 0) for rows in counted]
+    if misfits:
+        best = min(range(len(misfits)), key=lambda i: float(misfits[i].mean()))  # of equals the first
+        if (misfits[best] <= COUNTED_TOLERANCE + _beam_origin(ranges)).all():
+            return counted[best]
+    nearest = sensor.nearest_ring(medians)
+    excess = np.abs(medians - table[nearest]) - _free_tolerance(nearest, ranges, sensor)
+    if (excess > 0).any():
+        k = int(np.argmax(excess))
+        raise _misfit(
+            name,
+            sensor,
+            f"ring {present[k]} of the cloud is at {np.degrees(medians[k]):.3f} deg, the nearest row of the table at "
+            f"{np.degrees(table[nearest[k]]):.3f} deg",
+        )
+    if len(np.unique(nearest)) < len(nearest):
+        row = int(np.argmax(np.bincount(nearest)))
+        raise _misfit(
+            name, sensor, f"{(nearest == row).sum()} rings of the cloud are nearest to {np.degrees(table[row]):.3f} deg"
+        )
+    return nearest
+
+
+def _free_tolerance(rows: Ints, ranges: Floats, sensor: SensorModel) -> Floats:
+    """How far from a row of the table an elevation may be to be taken for it without a number that says so, rad.
+
+    Of elevations that have nothing to do with the table, 70 % would be within 0.35 of the gap between rows.
+    """
+    gaps = np.concatenate([[np.inf], np.diff(sensor.elevations), [np.inf]])
+    gap = np.minimum(gaps[rows], gaps[rows + 1])
+    return np.asarray(np.minimum(ELEVATION_TOLERANCE + _beam_origin(ranges), 0.35 * gap))
+
+
+def _beam_origin(ranges: Floats) -> Floats:
+    return np.arctan2(BEAM_ORIGIN_TOLERANCE_M, ranges)
+
+
+def _misfit(name: str, sensor: SensorModel, found: str) -> InputError:
+    return InputError(
+        f"{name}: the elevations do not fit the table of {sensor.name}: {found} (another sensor? points that are not "
+        "in the LiDAR's frame? a unit with a table of its own: give the maker's file of it as --sensor, or a file with "
+        "'schema: optshape/sensor/1' and 'elevations_deg: [lowest, ..., highest]')"
+    )

@@ -1,0 +1,206 @@
+"""Columns to scans: which columns are points, rings and times, in which units, and what is no return."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph.errors import InputError
+from optshape_graph.io.clouds.columns import Columns, Role, roles
+from optshape_graph.io.clouds.rings import rings_by_firing, rings_of_elevations, rings_of_ids
+from optshape_graph.io.times import seconds_of_points
+from optshape_graph.scan import Scan
+from optshape_graph.sensor import SensorModel
+
+_LOG = logging.getLogger(__name__)
+
+FARTHEST_M = 500.0
+"""No LiDAR's median return is farther: beyond, the cloud is in millimetres or in a map's coordinates."""
+
+MAP_M = 1e5
+"""From here on they are a map's: as millimetres, 100 m."""
+
+NO_RETURN_M = 1e7
+"""Coordinates from here on, which some drivers write as the largest number there is, mean that nothing came back."""
+
+NOISE_TAGS = 0b0101
+"""Bits of Livox's tag that mark noise: by the position of a return among others, and by its intensity."""
+
+
+@np.errstate(invalid="ignore", over="ignore")  # of signalling NaNs and absurd numbers that a file may hold
+def make_scan(columns: Columns, sensor: SensorModel | None = None, stamp: float | None = None) -> Scan:
+    """Make a scan of a cloud's columns.
+
+    - Columns are known by many names (`columns.KNOWN`), whatever their case; a unit in the name counts.
+    - Points are `x`, `y`, `z`, or one array (N x 3), in metres.
+    - Points that are not finite, exactly at the origin, or beyond `NO_RETURN_M` are no returns: they go, with all their
+      fields; and so do those that a Livox marks as noise (`NOISE_TAGS`).
+    - Rings are a column of any integer type or of floats that hold integers; or told by the order of firing where the
+      file keeps it; or the rows (or columns) of an organised cloud with as many as the sensor has rings; or recovered
+      from the elevations when the sensor is known; else there are none. However a driver numbers them, they come out
+      counted from the lowest elevation, and as rows of the sensor's table where the sensor is known (see `rings`).
+      Livox's lines, beside which there is a tag, are lasers of a pattern without rings.
+    - Times have the unit that follows from name, type and size (see `times.seconds_of_points`).
+
+    Args:
+        columns: a file's or a message's columns.
+        sensor: the sensor that made the cloud, if known.
+        stamp: the scan's own time, seconds since the epoch, from which absolute times of points are counted; None:
+            from the earliest.
+
+    Raises:
+        InputError: no points or none left, columns of different lengths, millimetres, map coordinates, rings that are
+            not integers, or a sensor whose table does not fit the elevations.
+    """
+    name = columns.name
+    try:
+        known = roles(columns.values)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+    recorded = _points(known, columns)
+    there = (np.abs(recorded) < NO_RETURN_M).all(axis=1) & (recorded != 0).any(axis=1)  # False for NaN
+    if not there.any():
+        raise InputError(f"{name}: no returns ({len(recorded)} points, all at the origin, not finite, or out of reach)")
+    there = _without_noise(known, columns, there)
+
+    def column(role: str) -> NDArray[Any] | None:
+        if role not in known:
+            return None
+        key = known[role].column
+        values = columns.values[key]
+        if values.size != len(recorded) or values.dtype.kind not in "iufb":
+            raise InputError(
+                f"{name}: expected '{key}' as {len(recorded)} numbers, found {values.dtype} of shape {values.shape}"
+            )
+        return np.asarray(values.reshape(-1)[there])
+
+    points = recorded[there]
+    _check_frame(points, name)
+    intensity, time = column("intensity"), column("time")
+    seconds = None
+    if time is not None:
+        seconds = seconds_of_points(time, known["time"].unit, stamp, np.arctan2(points[:, 1], points[:, 0]))
+        if seconds is None:
+            _LOG.warning("%s: times of points that are not times; read without them", name)
+    return Scan(
+        points,
+        _rings(columns, None if is_livox(known) else column("ring"), points, there, sensor),
+        None if intensity is None else intensity.astype(np.float64),
+        seconds,
+        sensor,
+        name,
+    )
+
+
+def is_livox(known: dict[str, Role]) -> bool:
+    """Say whether the columns are those of a Livox: a tag beside the laser's line."""
+    return "tag" in known and "ring" in known and known["ring"].column.lower() == "line"
+
+
+def _rings(
+    columns: Columns, ids: NDArray[Any] | None, points: Floats, there: Bools, sensor: SensorModel | None
+) -> Ints | None:
+    name = columns.name
+    if ids is not None:
+        return rings_of_ids(points, integers(ids, name), sensor, name)
+    if columns.fired:
+        fired = rings_by_firing(points, sensor, name)
+        if fired is not None:
+            return fired
+    if sensor is None:
+        return None
+    organised = _organised_ids(columns.height, len(there), sensor)
+    if organised is not None:
+        with contextlib.suppress(InputError):  # rows that are something else
+            return rings_of_ids(points, organised[there], sensor, name)
+    return rings_of_elevations(points, sensor, name)
+
+
+def _without_noise(known: dict[str, Role], columns: Columns, there: Bools) -> Bools:
+    """Leave out returns that a Livox marks as noise."""
+    if not is_livox(known):
+        return there
+    tags = columns.values[known["tag"].column].reshape(-1)
+    if tags.shape != there.shape or tags.dtype.kind not in "iuf":
+        return there
+    noise = there & ((tags.astype(np.int64) & NOISE_TAGS) != 0)
+    if not noise.any() or (noise == there).all():
+        return there
+    _LOG.info("%s: %d of %d returns left out, which the sensor marks as noise", columns.name, noise.sum(), there.sum())
+    return np.asarray(there & ~noise)
+
+
+def _points(known: dict[str, Role], columns: Columns) -> Floats:
+    """(N, 3) points, metres."""
+    values, name = columns.values, columns.name
+    if {"x", "y", "z"} <= known.keys():
+        axes = [values[known[axis].column].reshape(-1) for axis in "xyz"]
+        if len({len(axis) for axis in axes}) > 1 or any(axis.dtype.kind not in "iuf" for axis in axes):
+            raise InputError(f"{name}: expected x, y, z as numbers, as many of each")
+        return np.column_stack(
+            [axis.astype(np.float64) * _scale(known[k]) for axis, k in zip(axes, "xyz", strict=True)]
+        )
+    if "xyz" not in known:
+        found = ", ".join(list(values)[:24]) or "none"
+        raise InputError(f"{name}: expected columns x, y, z, or one of N x 3 called xyz or points; found: {found}")
+    key = known["xyz"].column
+    points = values[key]
+    if points.ndim < 2 or points.shape[-1] != 3 or points.dtype.kind not in "iuf":
+        raise InputError(f"{name}: '{key}' is {points.dtype} of shape {points.shape}, expected N x 3 numbers")
+    return points.reshape(-1, 3).astype(np.float64) * _scale(known["xyz"])
+
+
+def _scale(role: Role) -> float:
+    return 1.0 if role.unit is None else role.unit
+
+
+def _check_frame(points: Floats, name: str) -> None:
+    """Refuse millimetres, and coordinates of a map."""
+    distance = float(np.median(np.linalg.norm(points, axis=1)))
+    if distance <= FARTHEST_M:
+        return
+    centre = np.median(points, axis=0)
+    spread = float(np.median(np.linalg.norm(points - centre, axis=1)))
+    around = float(np.linalg.norm(centre)) < spread
+    apart = f"half of the returns are within {spread:.0f} m of ({centre[0]:.0f}, {centre[1]:.0f}, {centre[2]:.0f})"
+    if not around and distance > MAP_M:
+        raise InputError(
+            f"{name}: {apart}: coordinates of a map (UTM, ...); expected metres from the LiDAR, as it measured them"
+        )
+    if not around:
+        raise InputError(
+            f"{name}: half of the returns are beyond {distance:.0f} m; expected metres from the LiDAR (millimetres, or "
+            "coordinates of a map?)"
+        )
+    raise InputError(
+        f"{name}: half of the returns are beyond {distance:.0f} m; expected metres (millimetres? a CSV may say so: "
+        "'x (mm)')"
+    )
+
+
+def _organised_ids(height: int, n: int, sensor: SensorModel) -> Ints | None:
+    """(n,) row, or column, of each point of an organised cloud that has as many as the sensor has rings."""
+    if height <= 1 or n % height:
+        return None
+    rows, columns = np.divmod(np.arange(n), n // height)
+    if height == sensor.n_rings:
+        return rows
+    return columns if n // height == sensor.n_rings else None
+
+
+def integers(ids: NDArray[Any], name: str) -> Ints:
+    """Return ring numbers (N,) as integers (N,).
+
+    Raises:
+        InputError: one is negative, too large, or no integer.
+    """
+    wrong = ~((ids >= 0) & (ids < 1 << 16))  # of NaN too
+    if wrong.any() or (ids != ids.astype(np.int64)).any():
+        bad = ids[wrong][0] if wrong.any() else ids[ids != ids.astype(np.int64)][0]
+        raise InputError(f"{name}: expected ring numbers as integers from 0, found {bad}")
+    return ids.astype(np.int64)

@@ -1,0 +1,117 @@
+"""Times: the unit of a number that counts from 1970 or from anywhere, told by its size and by what a scan takes."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optshape_graph._arrays import Floats
+
+TICKS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
+"""A time from here on counts this many units a second: as seconds it would be after the year 5000."""
+
+EPOCH_S = 1e9
+"""Seconds since 1970 are more than this (2001)."""
+
+LONGEST_SCAN_S = 10.0
+"""A scan lasts less; what would last longer is in a smaller unit of time."""
+
+REVOLUTION_S = (0.02, 1.2)
+"""What a revolution takes, from the fastest to the slowest spinning LiDAR: 50 to 0.8 Hz."""
+
+LEAST_SWEEP = np.radians(1.0)
+"""Azimuth that a scan must sweep to tell how long a revolution takes, rad."""
+
+_UNITS = (1.0, 1e-3, 1e-6, 1e-9)
+
+
+def ticks_per_second(time: float) -> float:
+    """Return 1e9, 1e6, 1e3 or 1: whether an epoch time is in ns, us, ms or s. What is smaller is in seconds."""
+    return next((ticks for smallest, ticks in TICKS if abs(time) >= smallest), 1.0)
+
+
+def parse_stamp(word: str) -> float | None:
+    """Return a stamp in seconds: of seconds, of an epoch in ms, us or ns, or of a date (UTC unless it says).
+
+    None: it is no stamp.
+    """
+    try:
+        value = float(word)
+    except ValueError:
+        return _date(word)
+    if not abs(value) < 1e20:
+        return None
+    if word.isdecimal() and ticks_per_second(value) > 1:  # whole: a float would lose its nanoseconds
+        ticks = int(ticks_per_second(value))
+        whole, part = divmod(int(word), ticks)
+        return whole + part / ticks
+    return value / ticks_per_second(value)
+
+
+def _date(word: str) -> float | None:
+    try:
+        date = datetime.fromisoformat(word)
+    except ValueError:
+        return None
+    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp() if "-" in word else None
+
+
+def seconds_of_points(
+    time: NDArray[Any], unit: float | None, stamp: float | None, azimuth: Floats | None
+) -> Floats | None:
+    """Return per-point times (N,) as seconds (N,) relative to the scan's stamp; None: they are no times.
+
+    Times since the epoch are told by their size: about 1e18 are nanoseconds, 1e15 microseconds, 1e12 milliseconds, and
+    1e9, as floats, seconds. They are counted from `stamp`, or from the earliest. Smaller numbers are relative to the
+    stamp already. Where nothing says their unit, integers are nanoseconds (as Ouster's and Livox's drivers write
+    them); floats are seconds unless the scan would last more than `LONGEST_SCAN_S`, then milli-, micro- or nanoseconds,
+    the largest unit in which it does not; if that unit makes a revolution that no LiDAR has (`REVOLUTION_S`), and
+    exactly one other makes one, it is the other. Where even relative times are far from the stamp they are of a clock
+    of their own, and counted from the earliest.
+
+    Args:
+        time: (N,) of any numeric type, in `unit`, or in seconds, milli-, micro- or nanoseconds.
+        unit: in seconds, where the source says it.
+        stamp: the scan's, seconds since 1970, if known.
+        azimuth: (N,) rad, from which the revolution is told; None: not looked at.
+    """
+    floating = time.dtype.kind == "f"
+    if floating:
+        time = time.astype(np.float64)
+        if not (np.abs(time) < 1e20).all():  # False for NaN
+            return None
+    first, duration = time.min(), float(time.max()) - float(time.min())
+    ticks = ticks_per_second(float(first))
+    epoch = first > 0 and (ticks > 1 or (floating and float(first) >= EPOCH_S)) and duration / ticks <= LONGEST_SCAN_S
+    if unit is None and epoch:
+        unit = 1 / ticks
+    elif unit is None:
+        unit = _unit_of_floats(duration, azimuth) if floating else _UNITS[-1]
+    if float(first) * unit >= EPOCH_S / 10:  # since 1970
+        offset = 0.0 if stamp is None else float(first) * unit - stamp
+        return np.asarray((time - first) * unit + offset)
+    own_clock = abs(float(first)) * unit > LONGEST_SCAN_S
+    return np.asarray((time - first if own_clock else time) * unit)
+
+
+def _unit_of_floats(duration: float, azimuth: Floats | None) -> float:
+    """The largest unit in which the scan is short enough, or the only one in which a revolution takes what it takes."""
+    unit = next((u for u in _UNITS if duration * u <= LONGEST_SCAN_S), _UNITS[-1])
+    if azimuth is None or not duration:
+        return unit
+    swept = _swept(azimuth)
+    if swept < LEAST_SWEEP:
+        return unit
+    shortest, longest = REVOLUTION_S
+    possible = [u for u in _UNITS if shortest <= duration * u * 2 * np.pi / swept <= longest]
+    return unit if unit in possible or len(possible) != 1 else possible[0]
+
+
+def _swept(azimuth: Floats) -> float:
+    """The circle without the largest gap between azimuths, rad."""
+    ordered = np.sort(azimuth)
+    gaps = np.append(np.diff(ordered), 2 * np.pi - (ordered[-1] - ordered[0]))
+    return float(2 * np.pi - gaps.max())

@@ -1,0 +1,172 @@
+"""Noisy angles, put right: elevations back on the cone of their ring, azimuths on the grid of firings.
+
+Angular noise shows in the elevations, which should not vary within a ring, and is taken out of them. It is taken to be
+alike in azimuth, where a spinning LiDAR's firings are a known step apart: the n returns of a ring come from consecutive
+ones. Their number fixes the chord's width to within a step, whatever the noise; their mean fixes where the firings are,
+to sigma / sqrt(n). So the boundary is within a step beyond the first and the last *firing*, as for exact azimuths, and
+both ends share one Gaussian shift. (The extremes of the noisy azimuths themselves lie beyond the boundary, and scatter
+as the noise does.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import ndtr
+
+from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph.edges import EdgePoints, extreme_width, relative_azimuth
+from optshape_graph.scan import Scan
+
+NEGLIGIBLE = 1e-4
+"""Scatter of elevations within a ring, rad, below which angles count as exact: that of real sensors, to rounding."""
+
+GAP_EVIDENCE = 7.0
+"""Gain in log likelihood from which on a firing within a ring is taken to have returned nothing: one in 1,000 does."""
+
+IRREGULAR = 4.0
+"""Standard deviations by which azimuths may scatter more about the grid than elevations do, before there is none."""
+
+
+def level_rings(scan: Scan) -> tuple[Scan, float]:
+    """Put every return back on the cone of its ring, and say how far the returns were off it.
+
+    A ring's elevation is the sensor's, where its returns agree with it, else their mean. An angular noise is taken
+    to be alike in azimuth, where it cannot be taken out.
+
+    Args:
+        scan: the returns of one target, with rings.
+
+    Returns:
+        The scan, unchanged where its angles are exact; and the standard deviation of an angle, rad.
+    """
+    if scan.ring is None or len(scan) == 0:
+        return scan, 0.0
+    flat = np.hypot(scan.points[:, 0], scan.points[:, 1])
+    elevation = np.arctan2(scan.points[:, 2], flat)
+    rings, inverse, counts = np.unique(scan.ring, return_inverse=True, return_counts=True)
+    mean = np.bincount(inverse, elevation) / counts
+    off = elevation - mean[inverse]
+    freedom = len(scan) - len(rings)
+    noise = float(np.sqrt((off**2).sum() / freedom)) if freedom > 0 else 0.0
+    if noise < NEGLIGIBLE:
+        return scan, 0.0
+    level, known = _known(scan, rings, mean, noise / np.sqrt(counts))
+    level = level[inverse]
+    # A known elevation is no unknown: far away, where rings have few returns, that is half of what there is.
+    noise = float(np.sqrt(((elevation - level) ** 2).sum() / (len(scan) - (~known).sum())))
+    ranges = np.linalg.norm(scan.points, axis=1)
+    horizontal = scan.points[:, :2] / np.maximum(flat, 1e-12)[:, None]
+    points = np.column_stack([horizontal * np.cos(level)[:, None], np.sin(level)]) * ranges[:, None]
+    return replace(scan, points=points), noise
+
+
+def _known(scan: Scan, rings: Ints, mean: Floats, error: Floats) -> tuple[Floats, Bools]:
+    """Elevation of each ring: the sensor's table where the mean agrees with it, within 5 standard errors; and where."""
+    if scan.sensor is None or rings.max() >= scan.sensor.n_rings:
+        return mean, np.zeros(len(rings), dtype=bool)
+    table = scan.sensor.elevations[rings]
+    known = np.abs(mean - table) < 5 * error
+    return np.where(known, table, mean), known
+
+
+def place_on_firings(edges: EdgePoints, scan: Scan, azimuth_noise: float) -> EdgePoints:
+    """Move the ends of rings to the first and last firing that returned.
+
+    Where the returns are not on a regular grid (several revolutions merged, firings that jitter), the ends stay at the
+    extremes, and the boundary where extremes of noisy azimuths say it is.
+
+    Args:
+        edges: both ends of each ring, at the extremes.
+        scan: the returns they were found in.
+        azimuth_noise: standard deviation of one azimuth, rad; 0: nothing to do.
+    """
+    if azimuth_noise == 0.0:
+        return edges
+    assert scan.ring is not None
+    azimuth, _ = relative_azimuth(scan.points)
+    order = np.lexsort((-azimuth, scan.ring))
+    counts = np.unique(scan.ring, return_counts=True)[1]
+    row = np.repeat(np.arange(len(counts)), counts)
+    rank = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
+    steps = np.full((len(counts), counts.max()), np.nan)
+    steps[row, rank] = azimuth[order] / edges.azimuth_step
+    jitter = azimuth_noise / edges.azimuth_step
+    slots = _slots(steps, jitter)
+    left = np.nanmean(steps + slots, axis=1)
+    off = steps + slots - left[:, None]
+    freedom = max(len(scan) - len(counts), 1)
+    ratio = np.nansum(off**2) / (freedom * jitter**2)  # of two variances, each of about as many returns
+    merged = len(scan) / np.sum(1.0 + np.nanmax(steps, axis=1) - np.nanmin(steps, axis=1))
+    if merged > 1.5 or np.log(ratio) > IRREGULAR * 2 / np.sqrt(freedom):
+        revolutions = edges.revolutions[::2] if merged > 1.5 else np.ones(len(counts))
+        return _extremes(edges, revolutions, counts, jitter)
+    right = left - np.nanmax(slots, axis=1)
+    at = np.column_stack([left, right]).ravel() * edges.azimuth_step
+    moved = np.exp(1j * (at - edges.azimuth)) * (edges.points[:, 0] + 1j * edges.points[:, 1])
+    return replace(
+        edges,
+        points=np.column_stack([moved.real, moved.imag, edges.points[:, 2]]),
+        azimuth=at,
+        revolutions=np.ones(len(edges), dtype=np.int64),
+        lower=np.zeros(len(edges)),
+        upper=np.full(len(edges), edges.azimuth_step),
+        shift=np.repeat(azimuth_noise / np.sqrt(counts), 2),
+    )
+
+
+def _slots(steps: Floats, jitter: float) -> Floats:
+    """Firing (R, N) of each return, 0 for the leftmost, from azimuths in steps, from the left, padded with NaN.
+
+    Consecutive, unless the azimuths are likelier by GAP_EVIDENCE with a firing left out between two of them.
+    """
+    slots = np.where(np.isnan(steps), np.nan, np.arange(steps.shape[1], dtype=float))
+    counts = (~np.isnan(steps)).sum(axis=1)
+    rows = np.arange(len(steps))
+    for _ in range(steps.shape[1]):
+        off = np.nan_to_num(steps + slots - np.nanmean(steps + slots, axis=1, keepdims=True))
+        # Moving the returns from j on by one changes the sum of squares by 2 (sum of off from j on) + k (1 - k / n).
+        after = np.cumsum(off[:, ::-1], axis=1)[:, ::-1]
+        k = np.maximum(counts[:, None] - np.arange(steps.shape[1]), 0)
+        gain = -(2 * after + k * (1 - k / counts[:, None])) / (2 * jitter**2)
+        gain[:, 0] = -np.inf
+        gap = gain.argmax(axis=1)
+        found = gain[rows, gap] > GAP_EVIDENCE
+        if not found.any():
+            break
+        slots += found[:, None] & (np.arange(steps.shape[1]) >= gap[:, None])
+    return slots
+
+
+def _extremes(edges: EdgePoints, revolutions: Floats | Ints, returns: Ints, jitter: float) -> EdgePoints:
+    """Set the boundary where the outermost of several noisy azimuths says it is: before it, and scattering."""
+    reach = np.minimum(returns, int(np.ceil(6 * jitter)) + 2)
+    pairs = list(zip(reach.tolist(), np.asarray(revolutions, dtype=int).tolist(), strict=True))
+    moments = {pair: _overshoot(jitter, *pair) for pair in set(pairs)}
+    mean, variance = np.array([moments[pair] for pair in pairs]).T
+    width = np.minimum(extreme_width(np.asarray(revolutions, dtype=float)), np.sqrt(12 * variance))
+    scatter = np.sqrt(np.maximum(variance - width**2 / 12, 0.0))
+    step = edges.azimuth_step
+    return replace(
+        edges,
+        lower=np.repeat(-mean - width / 2, 2) * step,
+        upper=np.repeat(-mean + width / 2, 2) * step,
+        scatter=np.repeat(scatter, 2) * step,
+    )
+
+
+def _overshoot(jitter: float, returns: int, revolutions: int) -> tuple[float, float]:
+    """Mean and variance of how far the outermost of some returns lies beyond the boundary, in azimuth steps.
+
+    The outermost of -(k + U) + jitter Z_k, k = 0 ... returns - 1, U uniform on a step and common to a revolution, Z_k
+    normal.
+    """
+    phase = (np.arange(16) + 0.5) / 16
+    x = np.linspace(-1.0 - 5 * jitter, 5 * jitter, 400)
+    k = np.arange(returns)
+    inside = ndtr((x[:, None, None] + k + phase[:, None]) / jitter).prod(axis=-1).mean(axis=-1) ** revolutions
+    density = np.diff(inside)
+    middle = 0.5 * (x[1:] + x[:-1])
+    mean = float(density @ middle / density.sum())
+    return mean, float(density @ (middle - mean) ** 2 / density.sum())

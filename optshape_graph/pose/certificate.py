@@ -1,0 +1,243 @@
+"""The certificate: a lower bound on the cost of every pose, from the dual of a semidefinite relaxation.
+
+With t eliminated, the cost of a measurement is a quadratic form in x = [vec R; 1]. The relaxation of Briales and
+Gonzalez-Jimenez (CVPR 2017) replaces x x^T by any positive semidefinite X that satisfies the 21 quadratic
+constraints of a rotation (rows and columns orthonormal, right-handed) and X_10,10 = 1. Its dual,
+
+    maximise mu  subject to  Z = Q - mu E_10,10 - sum_i lambda_i A_i  positive semidefinite,
+
+bounds the cost of every rotation from below. A multiplier that is not quite feasible still gives a bound: x^T Z x
+is at least 4 min(0, lambda_min(Z)), since |x|^2 = 4 for every rotation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations, product
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from optshape_graph._arrays import Floats
+from optshape_graph.errors import EstimationError, InputError, missing_extra
+from optshape_graph.factors.measurement import TemplateMeasurement, refine
+from optshape_graph.se3 import transform
+
+Backend = Literal["clarabel", "cvxpy"]
+
+_SQUARED_NORM = 4.0  # of x = [vec R; 1], for every rotation
+_UPPER = np.array([(i, j) for j in range(10) for i in range(j + 1)])  # column by column, as Clarabel packs
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """What the dual of the relaxation says of a quadratic cost [vec R; t; 1]^T Q [vec R; t; 1].
+
+    Attributes:
+        bound: no pose costs less than this.
+        second_eigenvalue: second smallest eigenvalue of Z, in the cost's unit: where it is positive and a pose's
+            cost meets the bound, no other pose attains it.
+        X: (10, 10) primal solution: x x^T of the best rotation where the relaxation is tight.
+    """
+
+    bound: float
+    second_eigenvalue: float
+    X: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxation:
+    """The pose that the relaxation rounds to, and the bound on every pose.
+
+    Attributes:
+        T_target_lidar: (4, 4) a local minimum of the cost.
+        cost: the cost there.
+        bound: no pose costs less than this.
+    """
+
+    T_target_lidar: Floats
+    cost: float
+    bound: float
+
+
+def rotation_constraints() -> Floats:
+    """Return the 21 symmetric matrices (21, 10, 10) with x^T A_i x = 0 for x = [vec R; 1], R a rotation."""
+    index = np.arange(9).reshape(3, 3).T  # index[i, j]: place of R_ij in the column-major vec R
+    constraints = []
+
+    def add(terms: dict[tuple[int, int], float]) -> None:
+        A = np.zeros((10, 10))
+        for (i, j), value in terms.items():
+            A[i, j] += value / 2
+            A[j, i] += value / 2
+        constraints.append(A)
+
+    for vectors in (index.T, index):  # columns, then rows
+        for a in vectors:
+            add({**{(i, i): 1.0 for i in a}, (9, 9): -1.0})
+        for a, b in combinations(vectors, 2):
+            add(dict.fromkeys(zip(a, b, strict=True), 1.0))
+    for k, i in product(range(3), range(3)):  # column k x column k+1 = column k+2
+        a, b, c = index[:, k], index[:, (k + 1) % 3], index[:, (k + 2) % 3]
+        j, m = (i + 1) % 3, (i + 2) % 3
+        add({(a[j], b[m]): 1.0, (a[m], b[j]): -1.0, (c[i], 9): -1.0})
+    return np.array(constraints)
+
+
+@lru_cache(maxsize=1)
+def _dual_matrices() -> Floats:
+    """(22, 10, 10): the constraints, and E_10,10."""
+    last = np.zeros((1, 10, 10))
+    last[0, 9, 9] = 1.0
+    return np.concatenate([rotation_constraints(), last])
+
+
+def _pack(matrices: Floats) -> Floats:
+    """Pack symmetric (..., 10, 10) as (..., 55), off-diagonal entries scaled by sqrt 2."""
+    i, j = _UPPER.T
+    return np.asarray(matrices[..., i, j] * np.where(i == j, 1.0, np.sqrt(2.0)))
+
+
+def _unpack(packed: Floats) -> Floats:
+    X = np.zeros((10, 10))
+    i, j = _UPPER.T
+    X[i, j] = X[j, i] = packed / np.where(i == j, 1.0, np.sqrt(2.0))
+    return X
+
+
+@lru_cache(maxsize=1)
+def _clarabel_problem() -> tuple[Any, Any, Any, Any]:
+    import clarabel
+    from scipy import sparse
+
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
+    A = sparse.csc_matrix(_pack(_dual_matrices()).T)
+    return sparse.csc_matrix((22, 22)), A, [clarabel.PSDTriangleConeT(10)], settings
+
+
+def _solve_clarabel(Q: Floats) -> tuple[Floats, Floats]:
+    import clarabel
+
+    P, A, cones, settings = _clarabel_problem()
+    objective = np.zeros(22)
+    objective[-1] = -1.0
+    solution = clarabel.DefaultSolver(P, objective, A, _pack(Q), cones, settings).solve()
+    return np.array(solution.x), _unpack(np.array(solution.z))
+
+
+def _solve_cvxpy(Q: Floats) -> tuple[Floats, Floats]:
+    try:
+        import cvxpy
+    except ImportError as cause:
+        raise missing_extra("cvxpy", "sdp", cause) from cause
+    X = cvxpy.Variable((10, 10), PSD=True)
+    equations = [cvxpy.sum(cvxpy.multiply(A, X)) == 0 for A in rotation_constraints()] + [X[9, 9] == 1]
+    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum(cvxpy.multiply(Q, X))), equations)
+    problem.solve(solver=cvxpy.CLARABEL)
+    if X.value is None:
+        raise EstimationError("cvxpy found no solution of the relaxation")
+    return -np.array([float(equation.dual_value) for equation in equations]), np.asarray(X.value)
+
+
+def project_rotation(M: Floats) -> Floats:
+    """Return the rotation (3, 3) nearest to a matrix (3, 3)."""
+    U, _, Vt = np.linalg.svd(M)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
+
+
+def eliminate_translation(Q: Floats) -> tuple[Floats, Floats]:
+    """Minimise a form (13, 13) in [vec R; t; 1] over t.
+
+    Returns:
+        The form (10, 10) in x = [vec R; 1], and K (3, 10) with the best t = K x.
+    """
+    rest = np.r_[0:9, 12]
+    B = Q[9:12, 9:12]
+    # A direction that no row constrains takes t = 0 there: the smallest solution.
+    K = -np.linalg.lstsq(B, Q[9:12][:, rest], rcond=1e-13)[0]
+    form = Q[np.ix_(rest, rest)] + Q[rest][:, 9:12] @ K
+    return 0.5 * (form + form.T), np.asarray(K, dtype=np.float64)
+
+
+def lower_bound(Q: Floats, backend: Backend = "clarabel") -> Bound:
+    """Bound a quadratic cost over all rigid transforms from below.
+
+    Args:
+        Q: (13, 13) symmetric positive semidefinite, cost [z; 1]^T Q [z; 1], z = [vec R (column-major); t].
+        backend: the solver, or cvxpy as the modelling layer above the same solver.
+
+    Raises:
+        InputError: a backend that does not exist.
+        EstimationError: the cost vanishes for every rotation, so there is nothing to estimate.
+    """
+    if backend not in get_args(Backend):
+        raise InputError(f"backend is {backend!r}; expected one of {', '.join(map(repr, get_args(Backend)))}")
+    form, _ = eliminate_translation(Q)
+    scale = float(np.trace(form))
+    if not (np.isfinite(scale) and scale > 0):
+        raise EstimationError("the measurements constrain no rotation at all")
+    scaled = form / scale
+    multipliers, X = (_solve_clarabel if backend == "clarabel" else _solve_cvxpy)(scaled)
+    Z = scaled - np.tensordot(multipliers, _dual_matrices(), axes=1)
+    eigenvalues = np.linalg.eigvalsh(Z)
+    bound = multipliers[-1] + _SQUARED_NORM * min(0.0, eigenvalues[0])
+    return Bound(bound * scale, float(eigenvalues[1]) * scale, X)
+
+
+def solve_relaxation(Q: Floats, backend: Backend = "clarabel") -> Relaxation:
+    """Minimise a quadratic cost over all rigid transforms by its relaxation; see `lower_bound`."""
+    dual = lower_bound(Q, backend)
+    _, K = eliminate_translation(Q)
+    leading = np.linalg.eigh(dual.X)[1][:, -1]
+    R = project_rotation((leading[:9] / leading[9]).reshape(3, 3).T)
+    T = transform(R, K @ np.append(R.T.ravel(), 1.0))
+    values, vectors = np.linalg.eigh(Q)
+    measurement = TemplateMeasurement.from_stack(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, 13, T)
+    T = refine(measurement)
+    return Relaxation(T, 2.0 * measurement.error(T), dual.bound)
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """How far a pose can be from the best one, for the association and the weights it was estimated with.
+
+    Attributes:
+        certified: the pose is the global minimum: its gap is small enough, by default (0.1 mm)^2 a residual, and the
+            second eigenvalue says that there is no other.
+        gap_m2: (cost of the pose - lower bound on the cost of every pose) / number of residual rows, weights
+            normalised to mean 1, square metres.
+        second_eigenvalue: second smallest eigenvalue of the dual's matrix, normalised alike, square metres.
+    """
+
+    certified: bool
+    gap_m2: float
+    second_eigenvalue: float
+
+
+def certify(
+    measurement: TemplateMeasurement,
+    T_target_lidar: Floats,
+    total_weight: float,
+    backend: Backend = "clarabel",
+    largest_gap: float = 1e-4,
+) -> Certificate:
+    """Certify a pose against every other one.
+
+    Args:
+        measurement: the whitened rows.
+        T_target_lidar: (4, 4) the pose in question.
+        total_weight: sum over rows of 1 / sigma^2, 1/m2: the gap is in whitened units before it is divided by it.
+        backend: see `lower_bound`.
+        largest_gap: metres a residual: root of the gap up to which the pose is certified.
+
+    Raises:
+        InputError: a backend that does not exist.
+        EstimationError: the measurement constrains no rotation at all.
+    """
+    dual = lower_bound(measurement.quadratic(), backend)
+    gap = max(0.0, 2.0 * measurement.error(T_target_lidar) - dual.bound) / total_weight
+    second = dual.second_eigenvalue / total_weight
+    return Certificate(bool(gap <= largest_gap**2 and second > 0), gap, second)

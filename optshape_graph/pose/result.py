@@ -1,0 +1,187 @@
+"""What is known of the pose of one target from its returns in one scan: the finding, and the estimate made of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph.edges import EdgePoints
+from optshape_graph.factors.measurement import TemplateMeasurement
+from optshape_graph.factors.static import BiasedMeasurement
+from optshape_graph.pose.certificate import Certificate
+from optshape_graph.scan import Scan
+from optshape_graph.se3 import adjoint, apply, inverse, inverse_covariance, skew
+from optshape_graph.target import Target
+
+Status = Literal["ok", "ambiguous", "failed"]
+
+
+@dataclass(frozen=True, eq=False)
+class Ambiguity:
+    """How much better the pose is than the best different one.
+
+    Attributes:
+        margin: difference of log likelihoods, infinite where no different pose was found.
+        T_lidar_target: (4, 4) that pose, or None.
+    """
+
+    margin: float
+    T_lidar_target: Floats | None
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """What one of the methods finds in a scan: all that `conclude` judges and records.
+
+    Attributes:
+        target: the template.
+        returns: on the target, angles put right.
+        measurement: all whitened residuals, compressed, taken at the pose that was found.
+        shared: the same before the errors that scans of one static scene share are marginalised, or None.
+        total_weight: sum over the residuals of 1 / sigma^2, 1/m2.
+        ambiguity: margin to the best different pose.
+        log_likelihood: logarithm of the evidence for the target at this pose, up to a constant of the scan.
+        edge_points: the M ring ends used.
+        labels: (M,) edge of each.
+        inset: (M,) azimuth by which the boundary is taken to lie beyond each, rad.
+        edge_sigma: (M,) standard deviation of each edge residual, metres.
+        edge_residuals: (M,) distance of each boundary point from its edge, metres, positive outside.
+        objection: why the returns are not this target's, in words; empty where they are.
+    """
+
+    target: Target
+    returns: Scan
+    measurement: TemplateMeasurement
+    shared: BiasedMeasurement | None
+    total_weight: float
+    ambiguity: Ambiguity
+    log_likelihood: float
+    edge_points: EdgePoints
+    labels: Ints
+    inset: Floats
+    edge_sigma: Floats
+    edge_residuals: Floats
+    objection: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEstimate:
+    """The pose of a target in a scan, and how far to believe it.
+
+    Attributes:
+        target: the template.
+        T_lidar_target: (4, 4).
+        covariance: (6, 6) of the right perturbation of T_lidar_target: rotation first, in the target's frame.
+        status: "ok"; "ambiguous" where a different pose is not ruled out; "failed" where it is not to be used.
+        reason: why not "ok", else empty.
+        measurement: all whitened residuals, compressed: what factors are made of.
+        shared: the same before the errors that scans of one static scene share (ring biases, edge offset) are
+            marginalised, for `fuse_static`; each in units of its standard deviation. None for `method="paper"`.
+        certificate: of global optimality, for the association and the weights used.
+        ambiguity: margin to the best different pose.
+        log_likelihood: logarithm of the evidence for the target at this pose, up to a constant of the scan: what tells
+            targets of different shapes apart. Not a number for `method="paper"`.
+        edge_points: the ring ends used.
+        labels: (M,) edge of each edge point.
+        inset: (M,) azimuth by which the boundary is taken to lie beyond each edge point, rad.
+        edge_sigma: (M,) standard deviation of each edge residual, metres.
+        edge_residuals: (M,) distance of each boundary point from its edge, metres, positive outside.
+        plane_rms: root mean square distance of the returns from the target's plane, metres.
+        n_returns: number of returns.
+        unobservable: directions, in the target's frame, that the scan does not determine.
+    """
+
+    target: Target
+    T_lidar_target: Floats
+    covariance: Floats
+    status: Status
+    reason: str
+    measurement: TemplateMeasurement
+    shared: BiasedMeasurement | None
+    certificate: Certificate
+    ambiguity: Ambiguity
+    log_likelihood: float
+    edge_points: EdgePoints
+    labels: Ints
+    inset: Floats
+    edge_sigma: Floats
+    edge_residuals: Floats
+    plane_rms: float
+    n_returns: int
+    unobservable: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for field in ("T_lidar_target", "covariance", "inset", "edge_sigma", "edge_residuals"):
+            object.__setattr__(self, field, frozen(getattr(self, field)))
+        object.__setattr__(self, "labels", frozen(self.labels, np.int64))
+
+    @property
+    def T_target_lidar(self) -> Floats:
+        """(4, 4) inverse of T_lidar_target."""
+        return inverse(self.T_lidar_target)
+
+    @property
+    def covariance_target_lidar(self) -> Floats:
+        """(6, 6) of the right perturbation of T_target_lidar: rotation first, in the LiDAR's frame."""
+        return inverse_covariance(self.T_lidar_target, self.covariance)
+
+    @property
+    def vertices(self) -> Floats:
+        """(n, 3) vertices, LiDAR frame, metres."""
+        return apply(self.T_lidar_target, self.target.vertices)
+
+    @property
+    def vertex_covariances(self) -> Floats:
+        """(n, 3, 3) covariance of each vertex, LiDAR frame, square metres."""
+        R = self.T_lidar_target[:3, :3]
+        J = np.concatenate([-R @ skew(self.target.vertices), np.tile(R, (len(self.target), 1, 1))], axis=-1)
+        return np.asarray(J @ self.covariance @ np.swapaxes(J, 1, 2))
+
+    @property
+    def edge_lines(self) -> tuple[Floats, Floats]:
+        """A point (n, 3), metres, and the unit direction (n, 3) of each edge, LiDAR frame."""
+        start = self.vertices
+        along = np.roll(start, -1, axis=0) - start
+        return start, along / np.linalg.norm(along, axis=1, keepdims=True)
+
+    @property
+    def plane(self) -> Floats:
+        """(4,) plane of the target, LiDAR frame: n . p + d = 0, n the target's +x, away from the sensor."""
+        normal = self.T_lidar_target[:3, 0]
+        return np.append(normal, -normal @ self.T_lidar_target[:3, 3])
+
+    @property
+    def equivalent_poses(self) -> Floats:
+        """(S, 4, 4) T_lidar_target of every pose that a symmetric target cannot tell apart, this one first."""
+        return np.asarray(self.T_lidar_target @ self.target.symmetry_transforms)
+
+    def equivalent(self, k: int) -> PoseEstimate:
+        """Return this estimate with the vertices named otherwise: `equivalent_poses[k]`, and all that goes with it."""
+        turn = self.target.symmetry_transforms[k]
+        Ad = adjoint(inverse(turn))
+        normals = self.target.normals @ turn[1:3, 1:3]  # of each edge, in the turned target's frame
+        renamed = (normals @ self.target.normals.T).argmax(axis=1)
+        return replace(
+            self,
+            T_lidar_target=self.T_lidar_target @ turn,
+            covariance=Ad @ self.covariance @ Ad.T,
+            measurement=self.measurement.substituted(turn),
+            shared=None if self.shared is None else self.shared.substituted(turn),
+            labels=renamed[self.labels],
+        )
+
+    @property
+    def inset_rad(self) -> float:
+        """Median azimuth from an edge point to the target's edge, along its ring, rad; without rings not a number."""
+        if not len(self.labels):
+            return float("nan")
+        outward = self.edge_points.outward(self.T_lidar_target[:3, 0])
+        normal = np.column_stack([np.zeros(len(self.labels)), self.target.normals[self.labels]])
+        R = self.T_target_lidar[:3, :3]
+        speed = ((outward @ R.T) * normal).sum(axis=1)
+        usable = np.abs(speed) > 0.1 * np.linalg.norm(outward, axis=1)
+        to_edge = self.inset - self.edge_residuals / np.where(usable, speed, np.inf)
+        return float(np.median(to_edge[usable])) if usable.any() else float(np.median(self.inset))
