@@ -15,7 +15,7 @@ from math import comb
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
 from optshape_graph.se3 import transform
@@ -135,6 +135,7 @@ def enumerate_labellings(n_edges: int, n_rings: int) -> tuple[Ints, Floats]:
 
 NEAR, FAR = 10, 40
 """How many of the best poses are kept that differ a little, and how many beside them that differ much."""
+
 
 def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> Floats:
     """Solve the in-plane pose of every labelling, and keep the best that differ.

@@ -21,6 +21,10 @@ class PoseOptions:
             fewer; with ten rings and more it hardly matters. Test: `test_lost_ends`.
         lost_ends_of_rays: the same for a beam without width, which no edge splits. Chosen: by hand. Test:
             `test_lost_ends_of_rays`.
+        odd_ends: share of ring ends that are not what they seem, a stray beyond the target or a few returns lost, where
+            modes are compared ray by ray. Chosen: between 0.001 (simulated scans) and 0.02, where as many simulated poses
+            are found ok as the data allow; recorded scans would have 0.1 to 0.4, and are all decided at 0.01. Test:
+            `test_odd_ends`.
         lost_span: where the boundary may be beyond those ends, in azimuth steps outwards from the ring's last return.
             Chosen: up to two returns lost, or one too many. Test: `test_lost_span`.
         strays: share of returns that may lie anywhere, without rings: mixed with the background, or on something that
@@ -46,6 +50,7 @@ class PoseOptions:
     flatness: float = 1e-3
     lost_ends: float = 0.1
     lost_ends_of_rays: float = 0.02
+    odd_ends: float = 0.01
     lost_span: tuple[float, float] = (-1.0, 3.0)
     strays: float = 2e-3
     min_explained: float = 0.8

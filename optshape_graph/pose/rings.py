@@ -18,13 +18,13 @@ from optshape_graph.factors.measurement import TemplateMeasurement, refine, temp
 from optshape_graph.factors.static import EDGE_OFFSET, BiasedMeasurement, SharedError
 from optshape_graph.pose.association import enumerate_poses, fit_plane
 from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
-from optshape_graph.pose.modes import Modes, compare_modes, rank
+from optshape_graph.pose.modes import Modes, SampledPose, compare_modes, rank
 from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry
 from optshape_graph.pose.result import Ambiguity, Finding
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import difference, inverse
+from optshape_graph.se3 import difference, inverse, vec, vec_derivative
 from optshape_graph.target import Target
 
 
@@ -48,14 +48,22 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
     modes = compare_modes(rank(problem, starts, scan, edges), problem, scan, edges)
 
     # The best mode in one measurement, at its minimum.
-    on_edges, edge_weight = _edge_measurement(problem, modes)
-    shared = on_edges + on_plane
-    measurement = shared.marginal(1.0)
-    measurement = _widen(measurement.at(refine(measurement)), modes)
+    best, n = modes.candidates.select(slice(0, 1)), len(edges)
+    if modes.sampled is None:
+        on_edges, edge_weight = _edge_measurement(problem, modes)
+        shared = on_edges + on_plane
+        measurement = shared.marginal(1.0)
+        measurement = _widen(measurement.at(refine(measurement)), modes)
+        offset, labels = float(best.offset[0]), best.geometry.labels
+    else:
+        on_edges, edge_weight = sampled_measurement(modes.sampled, on_plane)
+        shared = on_edges + on_plane
+        measurement = shared.marginal(1.0).at(modes.sampled.T_target_lidar)
+        measurement = measurement.at(refine(measurement))
+        offset, labels = modes.sampled.offset, None
 
     # How the ring ends lie about the edges there.
-    best, n = modes.candidates.select(slice(0, 1)), len(edges)
-    final = edge_geometry(problem, measurement.T_target_lidar[None], best.geometry.labels)
+    final = edge_geometry(problem, measurement.T_target_lidar[None], labels)
     return Finding(
         target=target,
         returns=scan,
@@ -65,11 +73,11 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         ambiguity=Ambiguity(modes.margin, modes.rival),
         log_likelihood=modes.log_likelihood,
         edge_points=edges,
-        labels=best.geometry.labels[0, :n],
+        labels=final.labels[0, :n],
         inset=best.inset[0, :n],
         edge_sigma=best.sigma[0, :n],
         edge_residuals=(final.residual[0] + best.inset[0] * final.along[0])[:n],
-        objection=_objection(problem, final, float(best.offset[0]), options.min_explained),
+        objection=_objection(problem, final, offset, options.min_explained),
     )
 
 
@@ -126,6 +134,47 @@ def _edge_measurement(problem: Problem, modes: Modes) -> tuple[BiasedMeasurement
         [SharedError(EDGE_OFFSET)],
     )
     return replace(measurement, n_rows=len(problem.edges)), total
+
+
+def sampled_measurement(sampled: SampledPose, on_plane: BiasedMeasurement) -> tuple[BiasedMeasurement, float]:
+    """Say of the edges what, with the plane, makes the pose that was sampled, its covariance and the offset's.
+
+    Near the mean (R0, t0) a right perturbation (w, v) is linear in z = [vec R; t]: w is half of what is skew in
+    R0^T R, and v = R0^T (t - t0). w vanishes for a half turn too; two rows of second order, the diagonal of R0^T R less
+    1, tell that apart.
+
+    Returns:
+        The measurement, in z and the common offset, and the sum of 1 / sigma^2, 1/m2.
+    """
+    T = sampled.T_target_lidar
+    scale = np.append(np.ones(6), EdgeNoise.COMMON)
+    total = np.linalg.inv(sampled.covariance) * np.outer(scale, scale)
+    elsewhere, pull = np.zeros((7, 7)), np.zeros(7)  # of the plane, and of the offset's prior
+    plane = on_plane.marginal(1.0).at(T)
+    J = plane.jacobian(T)
+    elsewhere[:6, :6], elsewhere[6, 6] = J.T @ J, 1.0
+    pull[:6], pull[6] = J.T @ plane.residual(T), sampled.offset / EdgeNoise.COMMON
+    # What is left is the edges'. Where samples scatter more than the plane alone would let them, almost nothing is.
+    root = np.linalg.cholesky(total)
+    values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, total - elsewhere).T))
+    values = np.maximum(values, 1e-3)
+    whiten = np.sqrt(values)[:, None] * (root @ vectors).T
+    constant = whiten @ np.append(np.zeros(6), -sampled.offset / EdgeNoise.COMMON) - np.linalg.solve(whiten.T, pull)
+    K = 0.5 * vec_derivative(T).T
+    K[3:] *= 2.0
+    straight = np.array([_diagonal(T, axis) for axis in (1, 2)]) * np.sqrt(0.5 * total[0, 0])
+    A = np.vstack([whiten[:, :6] @ K, straight])
+    r = np.concatenate([constant - whiten[:, :6] @ K @ vec(T), -np.full(2, np.sqrt(0.5 * total[0, 0]))])
+    B = np.concatenate([whiten[:, 6], np.zeros(2)])[:, None]
+    measurement = BiasedMeasurement.from_rows(A, B, r, T, [SharedError(EDGE_OFFSET)])
+    return measurement, float(np.trace(total[4:6, 4:6]))
+
+
+def _diagonal(T: Floats, axis: int) -> Floats:
+    """(12,) row of an entry on the diagonal of R0^T R in z, for T = (R0, t0) (4, 4)."""
+    entry = np.zeros((4, 3))
+    entry[axis] = T[:3, axis]  # column by column
+    return entry.ravel()
 
 
 def _without_shifts(B: Floats) -> Floats:
