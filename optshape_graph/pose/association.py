@@ -233,7 +233,7 @@ def _minimise_on_circle(form: Floats) -> tuple[Ints, Floats]:
 
 
 def _first_different(angle: Floats, t: Floats, turn: float, move: float, count: int) -> Ints:
-    """Indices of the first `count` poses that differ by `turn`, rad, or `move` from each before: angle (K,), t (K, 2)."""
+    """Indices of the first `count` of poses (K,), (K, 2) that differ by `turn`, rad, or `move` from each before."""
     free = np.ones(len(angle), dtype=bool)
     kept: list[int] = []
     while free.any() and len(kept) < count:

@@ -179,7 +179,7 @@ class Firings:
         )
 
     def log_likelihood(self, corners: Floats, offset: Floats | float = 0.0) -> Floats:
-        """Logarithm (S,) of the likelihood of polygons (S, n, 3), LiDAR frame, metres; a beam of no width has no offset."""
+        """Logarithm (S,) of the likelihood of polygons (S, n, 3), LiDAR frame, metres; no width, so no offset."""
         right, left = self._chords(corners, self.elevations)
         beyond_left, beyond_right = left - self.left, self.right - right
         # A ring far above or below no polygon meets has nothing to say: most of the sensor's.

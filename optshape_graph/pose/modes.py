@@ -111,7 +111,9 @@ def rank(problem: Problem, starts: Floats, scan: Scan, ends: EdgePoints) -> Post
     Raises:
         EstimationError: no pose explains the returns.
     """
-    first = _judged(propagate(problem, starts, relinearisations=1, sweeps=2), problem, scan, ends)
+    first = _judged(
+        propagate(problem, _upright(starts, problem.target), relinearisations=1, sweeps=2), problem, scan, ends
+    )
     best = first.select(slice(0, 1))
     labels = np.vstack([best.geometry.labels, alternative_labels(problem, best, ALTERNATIVES)])
     T = np.repeat(best.T_target_lidar, len(labels), axis=0)
@@ -125,7 +127,7 @@ def _lookalikes(T_target_lidar: Floats, target: Target) -> Floats:
     vertices = target.polygon[:, 0] + 1j * target.polygon[:, 1]
     fits = [np.angle(np.vdot(vertices, np.roll(vertices, -k))) for k in range(1, len(target))]
     turns = np.array([np.pi, *fits])
-    return np.asarray(transform(rotation(turns[:, None] * [1.0, 0.0, 0.0])) @ T_target_lidar)
+    return _upright(transform(rotation(turns[:, None] * [1.0, 0.0, 0.0])) @ T_target_lidar, target)
 
 
 def _judged(posterior: Posterior, problem: Problem, scan: Scan, ends: EdgePoints) -> Posterior:
@@ -146,6 +148,12 @@ def _distinct(posterior: Posterior) -> Posterior:
         firsts.setdefault(labels.tobytes(), k)
     index = np.array(list(firsts.values()))
     return posterior.select(index[np.argsort(-posterior.log_likelihood[index], kind="stable")])
+
+
+def _upright(T: Floats, target: Target) -> Floats:
+    """Turn poses (C, 4, 4) by the target's symmetries so that its z axis is as nearly up as it gets."""
+    turned = inverse(target.symmetry_transforms) @ T[:, None]  # (T_lidar_target S)^-1 = S^-1 T_target_lidar
+    return np.asarray(turned[np.arange(len(T)), turned[:, :, 2, 2].argmax(axis=1)])
 
 
 def compare_modes(candidates: Posterior, problem: Problem, scan: Scan, ends: EdgePoints) -> Modes:

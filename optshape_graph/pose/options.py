@@ -21,10 +21,9 @@ class PoseOptions:
             fewer; with ten rings and more it hardly matters. Test: `test_lost_ends`.
         lost_ends_of_rays: the same for a beam without width, which no edge splits. Chosen: by hand. Test:
             `test_lost_ends_of_rays`.
-        odd_ends: share of ring ends that are not what they seem, a stray beyond the target or a few returns lost, where
-            modes are compared ray by ray. Chosen: between 0.001 (simulated scans) and 0.02, where as many simulated poses
-            are found ok as the data allow; recorded scans would have 0.1 to 0.4, and are all decided at 0.01. Test:
-            `test_odd_ends`.
+        odd_ends: share of ring ends that are not what they seem, where modes are compared ray by ray: the last return a
+            stray, or a few lost beyond it. Chosen: simulated scans find as many poses at 0.001 as at 0.02; recorded
+            ones are likeliest at 0.3, and decided at 0.01. Test: `test_odd_ends`.
         lost_span: where the boundary may be beyond those ends, in azimuth steps outwards from the ring's last return.
             Chosen: up to two returns lost, or one too many. Test: `test_lost_span`.
         strays: share of returns that may lie anywhere, without rings: mixed with the background, or on something that

@@ -23,7 +23,7 @@ STRAY = 1e-4
 """Probability that a single firing outside returns."""
 
 LOST = (0.02, 20.0)
-"""What is known of lost firings before a scan: 0.02 of 20. Those between a ring's returns are added."""
+"""What is known of lost firings before a scan: 0.02 of 20. Those well between a ring's ends are added."""
 
 WINDOW = 4
 """Firings that are looked at beyond each end of a ring, and inside it."""
@@ -107,7 +107,8 @@ class Rays:
                 place += np.interp(place, slots, train - slots)  # firings drift against the nominal step
                 returned = np.zeros(len(place), dtype=bool)
                 returned[slots + WINDOW] = True
-                tried, missing = tried + slots[-1] + 1, missing + slots[-1] + 1 - len(slots)
+                deep = returned[2 * WINDOW : -2 * WINDOW]  # where no edge is to blame
+                tried, missing = tried + len(deep), missing + len(deep) - deep.sum()
                 near = np.arange(len(place))
                 near = near[(near < 2 * WINDOW) | (near >= len(place) - 2 * WINDOW)]
                 index = count + np.arange(len(near))
@@ -164,7 +165,7 @@ class Rays:
         return np.asarray(STRAY + (1.0 - STRAY - self.lost) * np.clip(0.5 - outside, 0.0, 1.0))
 
     def _unseen(self, normals: Floats, offset: Floats) -> Floats:
-        """(S, O) probability that no firing of each ring without returns returns, wherever in a step its firings are."""
+        """(S, O) probability that no firing of each ring without returns returns, wherever in a step they are."""
         width = float(np.median(self.width))
         right, left = chords(normals, self.empty, self.reference_azimuth, width * (0.5 - offset))
         sure_right, sure_left = chords(normals, self.empty, self.reference_azimuth, -width * (0.5 + offset))

@@ -24,7 +24,7 @@ from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry
 from optshape_graph.pose.result import Ambiguity, Finding
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import difference, inverse, vec, vec_derivative
+from optshape_graph.se3 import difference, vec, vec_derivative
 from optshape_graph.target import Target
 
 
@@ -44,7 +44,7 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
     problem = Problem(bounded, target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor, options))
 
     # Every association, the posterior under each, and the best mode against the next.
-    starts = _upright(enumerate_poses(edges, plane, target), target)
+    starts = enumerate_poses(edges, plane, target)
     modes = compare_modes(rank(problem, starts, scan, edges), problem, scan, edges)
 
     # The best mode in one measurement, at its minimum.
@@ -89,12 +89,6 @@ def _bounded(edges: EdgePoints, scan: Scan) -> EdgePoints:
     """
     complete = edges.n_rings == edges.ring[-1] - edges.ring[0] + 1
     return with_top_and_bottom(edges, scan) if complete else edges
-
-
-def _upright(T: Floats, target: Target) -> Floats:
-    """Turn poses (C, 4, 4) by the target's symmetries so that its z axis is as nearly up as it gets."""
-    turned = inverse(target.symmetry_transforms) @ T[:, None]  # (T_lidar_target S)^-1 = S^-1 T_target_lidar
-    return np.asarray(turned[np.arange(len(T)), turned[:, :, 2, 2].argmax(axis=1)])
 
 
 def _edge_measurement(problem: Problem, modes: Modes) -> tuple[BiasedMeasurement, float]:
