@@ -71,7 +71,7 @@ def conclude(found: Finding, backend: Backend, options: PoseOptions) -> PoseEsti
     information = measurement.information() + 1e-9 * np.eye(6)
     covariance = inverse_covariance(T_target_lidar, np.linalg.inv(information))
     unobservable = unobservable_directions(covariance, found.target.circumradius, options.unobservable_sd)
-    status, reason = _verdict(found, unobservable, options)
+    status, reason = _verdict(found, covariance, unobservable, options)
     off_plane = found.returns.points @ T_target_lidar[0, :3] + T_target_lidar[0, 3]
     return PoseEstimate(
         target=found.target,
@@ -95,7 +95,9 @@ def conclude(found: Finding, backend: Backend, options: PoseOptions) -> PoseEsti
     )
 
 
-def _verdict(found: Finding, unobservable: tuple[str, ...], options: PoseOptions) -> tuple[Status, str]:
+def _verdict(
+    found: Finding, covariance: Floats, unobservable: tuple[str, ...], options: PoseOptions
+) -> tuple[Status, str]:
     """Status and reason, the weightiest first."""
     if found.objection:
         return "failed", found.objection
@@ -104,7 +106,25 @@ def _verdict(found: Finding, unobservable: tuple[str, ...], options: PoseOptions
     if found.ambiguity.margin < options.ambiguity_margin:
         margin = found.ambiguity.margin
         return "ambiguous", f"a different pose is only {margin:.2g} less likely (log likelihood)"
-    return "ok", ""
+    uncertain = _too_uncertain(found, covariance, options)
+    return ("ambiguous", uncertain) if uncertain else ("ok", "")
+
+
+def _too_uncertain(found: Finding, covariance: Floats, options: PoseOptions) -> str:
+    """Say what of a pose is less certain than a pose that can be used may be; empty where nothing is."""
+    size = found.target.circumradius
+    seen = f"{found.edge_points.n_rings} rings" if len(found.edge_points) else f"{len(found.returns)} returns"
+    for block, limit, unit, name in (
+        (slice(0, 3), options.largest_turn_sd, np.degrees(1.0), "deg"),
+        (slice(3, 6), options.largest_shift_sd * size, 1.0, "m"),
+    ):
+        values, vectors = np.linalg.eigh(covariance[block, block])
+        sd = float(np.sqrt(values[-1]))
+        if sd > limit:
+            direction = _DIRECTIONS[block][int(np.abs(vectors[:, -1]).argmax())]
+            found_sd, largest = f"{sd * unit:.2g} {name}", f"{limit * unit:.2g}"
+            return f"too uncertain: {direction} has a standard deviation of {found_sd}, over {largest}, from {seen}"
+    return ""
 
 
 def unobservable_directions(covariance: Floats, size: float, largest_sd: float) -> tuple[str, ...]:

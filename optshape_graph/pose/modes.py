@@ -18,7 +18,7 @@ from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
 from optshape_graph.pose.likelihood import alternative_labels, exit_probability, missed_rings, scan_log_likelihood
 from optshape_graph.pose.mixture import Components, Samples, sample
-from optshape_graph.pose.propagation import Posterior, Problem, concatenate, propagate
+from optshape_graph.pose.propagation import Posterior, Problem, concatenate, edge_geometry, propagate
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, angle, difference, exp, inverse, rotation, transform
 from optshape_graph.target import Target
@@ -26,8 +26,8 @@ from optshape_graph.target import Target
 ALTERNATIVES = 6
 """How many associations next to the best take part in the estimate."""
 
-SURE = 15.0
-"""Lead of the best mode, by its associations, at which no poses need be drawn: above it they never disagreed."""
+SURE = (6, 15.0)
+"""Rings, and lead of the best mode by its associations, at which no poses need be drawn: they never disagreed there."""
 
 COMPETING = 50.0
 """Difference of log likelihoods by association from which on a mode is not in the running."""
@@ -111,15 +111,15 @@ def rank(problem: Problem, starts: Floats, scan: Scan, ends: EdgePoints) -> Post
     Raises:
         EstimationError: no pose explains the returns.
     """
-    first = _judged(
-        propagate(problem, _upright(starts, problem.target), relinearisations=1, sweeps=2), problem, scan, ends
-    )
+    upright = _upright(starts, problem.target)
+    first = _judged(propagate(problem, upright, relinearisations=1, sweeps=2), problem, scan, ends)
     best = first.select(slice(0, 1))
     labels = np.vstack([best.geometry.labels, alternative_labels(problem, best, ALTERNATIVES)])
-    T = np.repeat(best.T_target_lidar, len(labels), axis=0)
+    turned = _lookalikes(best.T_target_lidar, problem.target)
+    T = np.concatenate([np.repeat(best.T_target_lidar, len(labels), axis=0), turned])
+    labels = np.vstack([labels, edge_geometry(problem, turned).labels])
     second = _judged(propagate(problem, T, relinearisations=1, labels=labels, sweeps=4), problem, scan, ends)
-    turned = propagate(problem, _lookalikes(best.T_target_lidar, problem.target), relinearisations=3, sweeps=2)
-    return _distinct(concatenate(concatenate(second, first), _judged(turned, problem, scan, ends)))
+    return _distinct(concatenate(second, first))
 
 
 def _lookalikes(T_target_lidar: Floats, target: Target) -> Floats:
@@ -166,7 +166,7 @@ def compare_modes(candidates: Posterior, problem: Problem, scan: Scan, ends: Edg
         ends: both ends of each ring, on the grid of firings.
     """
     by_association = _compare(candidates, problem.target)
-    if by_association.margin > SURE:
+    if ends.n_rings >= SURE[0] and by_association.margin > SURE[1]:
         return by_association
     chosen = candidates.select(_apart(candidates, problem.target))
     density = scan_log_likelihood(problem, scan, ends)

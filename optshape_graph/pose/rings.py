@@ -8,7 +8,7 @@ into one measurement.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,16 +16,63 @@ from optshape_graph._arrays import Floats
 from optshape_graph.edges import EdgePoints, extract_edge_points, with_top_and_bottom
 from optshape_graph.factors.measurement import TemplateMeasurement, refine, template_rows
 from optshape_graph.factors.static import EDGE_OFFSET, BiasedMeasurement, SharedError
-from optshape_graph.pose.association import enumerate_poses, fit_plane
+from optshape_graph.pose.association import ReturnsPlane, enumerate_poses, fit_plane
 from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
 from optshape_graph.pose.modes import Modes, SampledPose, compare_modes, rank
-from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
+from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
-from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry
+from optshape_graph.pose.propagation import EdgeGeometry, Posterior, Problem, edge_geometry
 from optshape_graph.pose.result import Ambiguity, Finding
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import difference, vec, vec_derivative
 from optshape_graph.target import Target
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What was measured, whatever the pose.
+
+    Attributes:
+        scan: the returns, angles put right.
+        edges: both ends of each ring, on the grid of firings.
+        plane: of the returns.
+        returns: all returns against a plane near the target's.
+        on_plane: the same, compressed.
+        problem: the target in this scan.
+    """
+
+    scan: Scan
+    edges: EdgePoints
+    plane: ReturnsPlane
+    returns: PlaneReturns
+    on_plane: BiasedMeasurement
+    problem: Problem
+
+
+def measure(scan: Scan, target: Target, options: PoseOptions) -> Measured:
+    """Find both ends of each ring and the plane of the returns, with their noise.
+
+    Raises:
+        EstimationError: the returns span no plane, or no azimuth step is to be found.
+    """
+    scan, angular_noise = level_rings(scan)
+    edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
+    plane = fit_plane(scan.points, scan.ring)
+    returns = returns_on_plane(scan, plane.axes[0], plane.distance, angular_noise, options)
+    on_plane = plane_measurement(returns)
+    bounded = edges if angular_noise else _bounded(edges, scan)
+    problem = Problem(bounded, target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor, options))
+    return Measured(scan, edges, plane, returns, on_plane, problem)
+
+
+def find_candidates(measured: Measured) -> Posterior:
+    """Find the posterior of the pose under every association that is worth it, likeliest first.
+
+    Raises:
+        EstimationError: no pose explains the returns.
+    """
+    starts = enumerate_poses(measured.edges, measured.plane, measured.problem.target)
+    return rank(measured.problem, starts, measured.scan, measured.edges)
 
 
 def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
@@ -34,18 +81,9 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
     Raises:
         EstimationError: the returns determine no pose at all.
     """
-    # What was measured: ring ends on the grid of firings, and all returns against a plane near the target's.
-    scan, angular_noise = level_rings(scan)
-    edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
-    plane = fit_plane(scan.points, scan.ring)
-    returns = returns_on_plane(scan, plane.axes[0], plane.distance, angular_noise, options)
-    on_plane = plane_measurement(returns)
-    bounded = edges if angular_noise else _bounded(edges, scan)
-    problem = Problem(bounded, target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor, options))
-
-    # Every association, the posterior under each, and the best mode against the next.
-    starts = enumerate_poses(edges, plane, target)
-    modes = compare_modes(rank(problem, starts, scan, edges), problem, scan, edges)
+    measured = measure(scan, target, options)
+    scan, edges, problem, on_plane = measured.scan, measured.edges, measured.problem, measured.on_plane
+    modes = compare_modes(find_candidates(measured), problem, scan, edges)
 
     # The best mode in one measurement, at its minimum.
     best, n = modes.candidates.select(slice(0, 1)), len(edges)
@@ -69,7 +107,7 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         returns=scan,
         measurement=measurement,
         shared=shared,
-        total_weight=edge_weight + float((1 / returns.sigma**2).sum()),
+        total_weight=edge_weight + float((1 / measured.returns.sigma**2).sum()),
         ambiguity=Ambiguity(modes.margin, modes.rival),
         log_likelihood=modes.log_likelihood,
         edge_points=edges,
