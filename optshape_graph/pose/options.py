@@ -38,9 +38,9 @@ class PoseOptions:
             (tests/benchmarks/test_evidence.py). Test: `test_ambiguity_margin`.
         unobservable_sd: standard deviation, rad or target radii, beyond which a direction counts as not observable.
             Chosen: by hand, 23 degrees. Test: `test_unobservable_sd`.
-        largest_turn_sd: standard deviation, rad, of the least certain rotation of a pose that is ok: 5.7 degrees. Chosen:
-            by hand, so that an error of 15 degrees is rare; 3 % of the poses that are told apart are less certain. Test:
-            `test_largest_sds`.
+        largest_turn_sd: standard deviation, rad, of the least certain rotation of a pose that is ok: 5.7 degrees.
+            Chosen: by hand, so that an error of 15 degrees is rare; 3 % of the poses that are told apart are less
+            certain. Test: `test_largest_sds`.
         largest_shift_sd: the same of the least certain translation, target radii. Chosen: alike. Test:
             `test_largest_sds`.
         certified_gap: largest distance from the lower bound at which a pose is certified as the global minimum,
