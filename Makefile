@@ -1,5 +1,7 @@
 # make demo           set up, then run the main job on a bundled session
 # make test           set up, then pass every test: ruff, mypy, pytest
+# make check          set up, then what is quick of it: lint, types, and the tests of QUICK; two minutes on two cores
+# make faults         the search for faults, longer than in the tests: broken inputs, full disks, signals, hostile names
 # make bench          the benchmarks: ratios between two things measured in one run
 # make coverage       the lines that `make test` runs, and those that it does not
 # make docs           the documentation, as a site in build/site
@@ -11,6 +13,7 @@
 PYTHON ?=
 VENV ?= .venv
 JOBS ?= $(shell nproc 2>/dev/null || echo 2)
+FAULTS ?= 10
 PYTHONS ?= $(VENV)/bin/python
 BIN := $(VENV)/bin
 
@@ -18,16 +21,28 @@ BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test bench coverage docs release-check
+# Folders of tests that need no simulation and no process of their own.
+QUICK := $(wildcard tests/test_*.py) $(addprefix tests/,factors graph io pose design runs docs/test_docstrings.py cli/test_lazy.py)
+
+.PHONY: demo check test faults bench coverage docs release-check
 
 demo: setup-plot
 	$(BIN)/optshape demo
+
+check: setup-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -n $(JOBS) -q -m "not benchmark" $(QUICK)
 
 test: setup-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n $(JOBS) -m "not benchmark"
+
+faults: setup-test
+	FAULTS=$(FAULTS) $(BIN)/python -m pytest -n $(JOBS) -m "not benchmark" tests/faults
 
 bench: setup-test
 	$(BIN)/python -m pytest -m benchmark -s tests/benchmarks

@@ -1,9 +1,9 @@
-"""Read-only arrays for frozen dataclasses, which compare by value and stay frozen."""
+"""Read-only arrays, and frozen dataclasses that hold them: equal by value, printed in a line, frozen when copied."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -13,6 +13,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+LONGEST_REPR = 200
+"""Characters of a `repr`."""
+
 
 def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     """Return a read-only copy of `values`, so that what a dataclass holds cannot change under it."""
@@ -21,38 +24,84 @@ def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     return array
 
 
+def refreeze(value: Any) -> None:
+    """Make the arrays in a value read-only: pickles and deep copies bring them back writable."""
+    if isinstance(value, np.ndarray):
+        value.setflags(write=False)
+    elif isinstance(value, tuple | list):
+        for item in value:
+            refreeze(item)
+    elif isinstance(value, Mapping):
+        for item in value.values():
+            refreeze(item)
+
+
+def alike(a: Any, b: Any) -> bool:
+    """Say whether two values are the same, arrays and what holds them included; NaN is the same as NaN."""
+    if a is b:
+        return True
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        a, b = np.asarray(a), np.asarray(b)
+        return a.shape == b.shape and np.array_equal(a, b, equal_nan=a.dtype.kind == "f" and b.dtype.kind == "f")
+    if isinstance(a, tuple | list) and isinstance(b, tuple | list):
+        return len(a) == len(b) and all(map(alike, a, b))
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return a.keys() == b.keys() and all(alike(value, b[key]) for key, value in a.items())
+    return bool(a == b or (a != a and b != b))
+
+
 class Value:
-    """Base of frozen dataclasses with arrays (`eq=False`): equal by value, hashed by it, and frozen in every copy."""
+    """Base of frozen dataclasses, which are declared with `eq=False, repr=False`: what they do alike is here."""
 
     if TYPE_CHECKING:
         __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def __eq__(self, other: object) -> bool:
-        if type(other) is not type(self):
+        if other.__class__ is not self.__class__:
             return NotImplemented
-        return all(_same(getattr(self, field.name), getattr(other, field.name)) for field in fields(self))
+        names = [field.name for field in fields(self) if field.compare]
+        return all(alike(getattr(self, name), getattr(other, name)) for name in names)
 
     def __hash__(self) -> int:
-        return hash((type(self), *(_key(getattr(self, field.name)) for field in fields(self))))
+        return hash((type(self), *(_key(getattr(self, field.name)) for field in fields(self) if field.compare)))
+
+    def __repr__(self) -> str:
+        parts = [f"{field.name}={brief(getattr(self, field.name))}" for field in fields(self) if field.repr]
+        return shortened(f"{type(self).__name__}({', '.join(parts)})")
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore a pickle or a deep copy, in which NumPy leaves arrays writeable."""
-        for value in state.values():
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
+        """Take what a pickle or a copy brings, arrays read-only."""
+        refreeze(state)
         self.__dict__.update(state)
 
 
-def _same(a: Any, b: Any) -> bool:
-    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
-        return a is not None and b is not None and np.array_equal(a, b)
-    return bool(a == b)
+def brief(value: Any) -> str:
+    """Return a value in a few characters: arrays by their shape, or their numbers where there are few."""
+    if isinstance(value, np.ndarray):
+        if value.ndim == 1 and value.size <= 3:
+            return "(" + ", ".join(f"{number:g}" for number in value) + ")"
+        return "x".join(map(str, value.shape)) + f" {value.dtype.name}"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, Value) or is_dataclass(value):
+        return f"{type(value).__name__}({getattr(value, 'name', '...')})"
+    if isinstance(value, tuple | list | dict | frozenset) and len(value) > 3:
+        return f"{len(value)} items"
+    return repr(value) if not isinstance(value, str) or len(value) <= 40 else repr(value[:37] + "...")
+
+
+def shortened(text: str) -> str:
+    """Return the text of a `repr`, of one line and not longer than one may be."""
+    line = " ".join(text.split())
+    return line if len(line) <= LONGEST_REPR else line[: LONGEST_REPR - 4] + "...)"
 
 
 def _key(value: Any) -> Hashable:
-    """What hashes alike for equal values: -0.0 equals 0.0, and a dictionary has no order."""
+    """What hashes alike for equal values: -0.0 equals 0.0, NaN itself, and a dictionary has no order."""
     if isinstance(value, np.ndarray):
         return value.shape, (value + 0).tobytes()
     if isinstance(value, Mapping):
-        return frozenset(value.items())
-    return value  # type: ignore[no-any-return]
+        return frozenset((key, _key(item)) for key, item in value.items())
+    if isinstance(value, tuple | list):
+        return tuple(map(_key, value))
+    return value if value == value else "nan"

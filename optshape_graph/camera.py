@@ -6,15 +6,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 
 DISTORTION_LENGTHS = {"pinhole": (0, 4, 5, 8), "equidistant": (4,)}
 """Numbers of distortion coefficients by model."""
 
 
-@dataclass(frozen=True, eq=False)
-class CameraIntrinsics:
+@dataclass(frozen=True, eq=False, repr=False)
+class CameraIntrinsics(Value):
     """A calibrated camera. Camera frame: z forward, x right, y down; pixel (0, 0) is the centre of the top left one.
 
     Attributes:

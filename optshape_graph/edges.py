@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import EstimationError
 from optshape_graph.scan import Scan
 
@@ -23,8 +23,8 @@ UP, DOWN = 2, -2
 """Returns of the highest and of the lowest ring, beyond which the next ring has none."""
 
 
-@dataclass(frozen=True, eq=False)
-class EdgePoints:
+@dataclass(frozen=True, eq=False, repr=False)
+class EdgePoints(Value):
     """Both ends of every ring on one target, rings from the lowest up, left end before right end.
 
     A ring with a single return has two coinciding edge points: the target ends on both sides of it.

@@ -74,3 +74,12 @@ class Scan(Value):
             intensity=pick(self.intensity),
             time=pick(self.time),
         )
+
+
+def rings_missing(scan: Scan) -> InputError:
+    """Return the error that a scan, in which targets are to be found, has no rings; it says what can be done."""
+    return InputError(
+        f"{scan.name}: its returns have no rings, and targets are found ring by ring; expected a ring for each, or the "
+        "sensor whose table tells (--sensor). Livox and flash LiDARs have none: cut the target's returns out and use "
+        "`optshape estimate`"
+    )

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, Ints, Value, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen, shortened
 from optshape_graph.errors import InputError
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SensorModel(Value):
     """A spinning multi-beam LiDAR.
 
@@ -92,7 +92,7 @@ class SensorModel(Value):
 
     def __repr__(self) -> str:
         low, high = np.degrees(self.elevations[[0, -1]])
-        return f"SensorModel('{self.name}', {self.n_rings} rings, {low:.4g} to {high:.4g} deg)"
+        return shortened(f"SensorModel('{self.name}', {self.n_rings} rings, {low:.4g} to {high:.4g} deg)")
 
     @property
     def n_rings(self) -> int:

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, Ints, Value, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen, shortened
 from optshape_graph.errors import InputError
 from optshape_graph.se3 import rotation, transform
 
@@ -41,7 +41,7 @@ class Chessboard:
     offset: tuple[float, float] = (0.0, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Tags(Value):
     """Square fiducial tags printed on a target.
 
@@ -58,7 +58,7 @@ class Tags(Value):
     turn: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Target(Value):
     """A planar convex polygon with n >= 3 vertices.
 
@@ -107,7 +107,7 @@ class Target(Value):
 
     def __repr__(self) -> str:
         width, height = np.ptp(self.polygon, axis=0)
-        return f"Target('{self.name}', {len(self)} vertices, {width:.3g} x {height:.3g} m)"
+        return shortened(f"Target('{self.name}', {len(self)} vertices, {width:.3g} x {height:.3g} m)")
 
     @cached_property
     def polygon(self) -> Floats:
@@ -161,11 +161,6 @@ class Target(Value):
     def symmetry_transforms(self) -> Floats:
         """(S, 4, 4) of `symmetries`, the identity first: T_lidar_target S is the same placement, named otherwise."""
         return frozen(transform(rotation([[angle, 0.0, 0.0] for angle in self.symmetries])))
-
-    @cached_property
-    def symmetry_rotations(self) -> tuple[Floats, ...]:
-        """Rotations (3, 3) of `symmetries`."""
-        return tuple(S[:3, :3] for S in self.symmetry_transforms)
 
     def nearest_symmetry(self, T_lidar_target: Floats, predicted: Floats) -> Ints:
         """Return the number (...) of the symmetry S for which T S is turned least from a predicted pose.

@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 from scipy.stats import chi2
 
-from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.edges import extract_edge_points, with_top_and_bottom
 from optshape_graph.errors import EstimationError
 from optshape_graph.pose import estimate_pose
@@ -40,8 +40,8 @@ DISAGREEMENT = 1e-3
 """Probability of sides so far from a right drawing, below which it is called wrong."""
 
 
-@dataclass(frozen=True, eq=False)
-class SeenShape:
+@dataclass(frozen=True, eq=False, repr=False)
+class SeenShape(Value):
     """A polygon with its uncertainty.
 
     Attributes:
@@ -74,8 +74,8 @@ class SeenShape:
         return np.asarray(rows @ self.covariance @ rows.T)
 
 
-@dataclass(frozen=True, eq=False)
-class MeasuredShape:
+@dataclass(frozen=True, eq=False, repr=False)
+class MeasuredShape(Value):
     """The shape of a target by all scans, and by each.
 
     Attributes:

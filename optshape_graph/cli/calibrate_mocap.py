@@ -27,46 +27,22 @@ def command(
     """Calibrate T_lidar_mocap and the marker layout of a session, and compare the estimates with the markers.
 
     Errors are leave-one-out: each scan is compared in a frame fitted to the other scans. Exit status 3: some scans took
-    no part; the results of the others are written.
+    no part, or the result is not to be trusted; it is written all the same, with the reasons.
     """
-    from optshape_graph.calibration.mocap.calibrate import calibrate_mocap
-    from optshape_graph.calibration.mocap.comparison import mean_error
-    from optshape_graph.calibration.mocap.session import load_mocap_scans
+    from optshape_graph.calibration.mocap import calibrate_mocap
     from optshape_graph.cli.console import print_table, print_transform, progress_bar
     from optshape_graph.io import load_session
     from optshape_graph.io.documents import write_json
 
+    loaded = load_session(session, allow_outside=allow_outside)
     with progress_bar("estimating") as progress:
-        scans, left_out = load_mocap_scans(load_session(session, allow_outside=allow_outside), progress)
-    for item in left_out:
+        result = calibrate_mocap(loaded, estimate_scale=estimate_scale, progress=progress)
+    for item in result.left_out:
         click.echo(f"optshape: left out {item.scan}: {item.reason}", err=True)
-    result = calibrate_mocap(scans, estimate_scale=estimate_scale)
-    document: dict[str, Any] = {
-        "schema": "optshape/mocap/1",
-        "protocol": "leave-one-out",
-        "T_lidar_mocap": result.T_lidar_mocap.tolist(),
-        "covariance": result.covariance.tolist(),
-        "marker_layout": result.marker_layout.tolist(),
-        "scans": [
-            {**_entry(error), "T_lidar_target": T}
-            for error, T in zip(result.leave_one_out, result.T_lidar_target, strict=True)
-        ],
-        "mean": _numbers(mean_error(result.leave_one_out)),
-        "in_sample": {
-            "scans": [_entry(error) for error in result.in_sample],
-            "mean": _numbers(mean_error(result.in_sample)),
-        },
-        "T_mocap_lidar": result.T_mocap_lidar.tolist(),
-        "covariance_mocap_lidar": result.covariance_mocap_lidar.tolist(),
-        "scale": result.scale,
-        "scale_sigma": result.scale_sigma,
-        "scatter": result.scatter,
-        "left_out": [{"scan": item.scan, "reason": item.reason} for item in left_out],
-    }
     if json_path:
-        write_json(json_path, document)
+        write_json(json_path, result.to_dict())
     _print_errors(print_table, result.leave_one_out, result.in_sample)
-    if estimate_scale:
+    if result.scale_sigma:
         click.echo(f"scale of the motion capture: {result.scale:.4f} +- {result.scale_sigma:.4f}\n")
     print_transform(
         "T_lidar_mocap", "motion-capture points into the LiDAR frame", result.T_lidar_mocap, result.covariance
@@ -80,10 +56,13 @@ def command(
 
         pictures = Pictures(plots)
         pictures.save("errors", plot_calibration_errors(result))
-        pictures.save("placements", plot_placements(scans, result))
-        pictures.save("markers", plot_marker_layout(scans[0].estimate.target, result))
+        pictures.save("placements", plot_placements(result))
+        pictures.save("markers", plot_marker_layout(result))
         pictures.tell()
-    return 3 if left_out else 0
+    for warning in result.warnings:
+        click.echo(f"optshape: warning: {warning}", err=True)
+    click.echo(f"The calibration is {result.verdict}.")
+    return 0 if result.trusted and not result.left_out else 3
 
 
 def _print_errors(print_table: Any, loo: Sequence[ScanError], inside: Sequence[ScanError]) -> None:
@@ -100,11 +79,3 @@ def _print_errors(print_table: Any, loo: Sequence[ScanError], inside: Sequence[S
         rows,
         "Leave-one-out: each scan in a frame fitted to the others. In-sample: in a frame fitted to all.",
     )
-
-
-def _entry(error: ScanError) -> dict[str, Any]:
-    return {"scan": error.scan, **_numbers(error)}
-
-
-def _numbers(error: ScanError) -> dict[str, float]:
-    return {"rmse_m": error.rmse_m, "e_t_m": error.e_t_m, "e_r_deg": error.e_r_deg}

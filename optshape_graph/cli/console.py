@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import click
+
+from optshape_graph.names import shown
 
 if TYPE_CHECKING:
     import numpy as np
@@ -14,6 +18,38 @@ if TYPE_CHECKING:
 
 _FILE_WIDTH = 160
 """Columns of a table that goes to a file or a pipe."""
+
+_PLAIN = str.maketrans({"±": "+-", "°": " deg", "∞": "inf", "…": "...", "·": "*", "²": "2", "μ": "u", "→": "->"})
+"""What stands for signs that a terminal without Unicode has not."""
+
+SECONDS_BETWEEN = 60.0
+"""Between two lines of progress, where standard error is no terminal."""
+
+
+def say(text: object, *, err: bool = False) -> None:
+    """Print one line; what a terminal would obey is shown, and signs that it has not are spelled out.
+
+    Args:
+        text: the line; names from data may be in it.
+        err: print to standard error.
+    """
+    click.echo(_for(sys.stderr if err else sys.stdout, shown(text)), err=err)
+
+
+def warn(text: object) -> None:
+    """Print one line to standard error, as this program's."""
+    say(f"optshape: {text}", err=True)
+
+
+def _for(stream: object, text: str) -> str:
+    encoding = getattr(stream, "encoding", None) or "ascii"
+    try:
+        text.encode(encoding)
+    except UnicodeEncodeError:
+        return text.translate(_PLAIN).encode(encoding, "backslashreplace").decode(encoding)
+    except LookupError:
+        return text.translate(_PLAIN).encode("ascii", "backslashreplace").decode()
+    return text
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], note: str = "") -> None:
@@ -29,14 +65,17 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
     from rich.console import Console
     from rich.table import Table
 
+    def cell(text: str) -> str:
+        return _for(sys.stdout, shown(text))
+
     table = Table(
-        title=title, title_justify="left", title_style="bold", caption=note or None, caption_justify="left",
-        box=SIMPLE, padding=0,
+        title=cell(title), title_justify="left", title_style="bold", caption=cell(note) if note else None,
+        caption_justify="left", box=SIMPLE, padding=0,
     )  # fmt: skip
     for k, column in enumerate(columns):
-        table.add_column(column, justify="right" if k else "left", overflow="fold", no_wrap=bool(k))
+        table.add_column(cell(column), justify="right" if k else "left", overflow="fold", no_wrap=bool(k))
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(cell, row))
     console = Console(markup=False, highlight=False)
     if not console.is_terminal:
         console.width = _FILE_WIDTH
@@ -57,14 +96,17 @@ def print_transform(name: str, meaning: str, T: NDArray[np.float64], covariance:
     sd = np.sqrt(np.diag(covariance))
     lines = ["  ".join(f"{value:10.6f}" for value in row) for row in T]
     rotation, translation = (" ".join(f"{value:.3g}" for value in part) for part in (np.degrees(sd[:3]), 1e3 * sd[3:]))
-    click.echo(f"{name}: {meaning}")
+    say(f"{name}: {meaning}")
     click.echo("\n".join(lines))
     click.echo(f"  sd: rotation {rotation} deg, translation {translation} mm\n")
 
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar on standard error while the block runs, if that is a terminal.
+    """Show on standard error how far the block is: a bar on a terminal, else a line a minute.
+
+    Args:
+        what: is being done.
 
     Yields:
         A function to call with how much is done, and of how much.
@@ -73,6 +115,22 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     from rich.progress import Progress
 
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+    if not console.is_terminal or console.is_dumb_terminal:
+        yield _lines_of_progress(what)
+        return
+    with Progress(console=console, transient=True) as progress:
         task = progress.add_task(what, total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)
+
+
+def _lines_of_progress(what: str) -> Callable[[int, int], None]:
+    begun = said = time.monotonic()
+
+    def report(done: int, total: int) -> None:
+        nonlocal said
+        now = time.monotonic()
+        if now - said >= SECONDS_BETWEEN:
+            said = now
+            warn(f"{what}: {done} of {total} after {(now - begun) / 60:.0f} min")
+
+    return report

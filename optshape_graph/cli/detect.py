@@ -2,28 +2,48 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from optshape_graph.cli.plots import Pictures, names_of, plot_option
+from optshape_graph.cli.estimate import drawn
+from optshape_graph.cli.options import FILE, force_option, pool_options
+from optshape_graph.cli.plots import names_of, plot_option, save_picture
 
 if TYPE_CHECKING:
-    from optshape_graph.detection import Detection, Rejection
+    from optshape_graph.detection import Detections
+    from optshape_graph.runs.workers import Pool
+    from optshape_graph.scan import Scan
+
+BYTES = 60_000
+"""Of an entry of the document and its line in the journal, about: what the disk must have room for."""
 
 
 @click.command()
-@click.argument("scans", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="SCAN...")
+@click.argument("scans", nargs=-1, required=True, metavar="SCAN...")
 @click.option("--target", "targets", required=True, multiple=True,
               help="Built-in name, NAME@AREA in m2, or target file; once for each target to look for.")  # fmt: skip
 @click.option("--sensor", help="Built-in name or sensor file. Without it: rings from the cloud, noise of a centimetre.")
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@click.option("--json", "json_path", type=FILE, help="Write the results to this file; until it is whole they are kept "
+              "in FILE.journal, from which the same command goes on.")  # fmt: skip
+@pool_options
+@force_option
 @plot_option("for every scan what was found in it, and the fit of every target found")
 def command(
-    scans: tuple[Path, ...], targets: tuple[str, ...], sensor: str | None, json_path: Path | None, plots: Path | None
+    scans: tuple[str, ...],
+    targets: tuple[str, ...],
+    sensor: str | None,
+    json_path: Path | None,
+    pool: Pool | None,
+    force: bool,
+    plots: Path | None,
 ) -> int:
     """Find targets in each SCAN (PCD, PLY, NPZ or CSV), a full revolution, and tell them apart by shape.
+
+    A SCAN is a file, a folder of clouds, a pattern in quotes ('drive/*.pcd'), or @LIST: a text file with a name on each
+    line.
 
     `return_indices` in the JSON count the cloud's returns from 0, in its order, without points that are no returns
     (not finite, or at the origin); `doubtful_indices` are further returns that the pose rests on, at the target's rim
@@ -32,100 +52,73 @@ def command(
     Exit status 3: some scans could not be used, or a target's shape or pose is ambiguous; the results of the others
     are written.
     """
-    from optshape_graph.cli.console import print_table, progress_bar
-    from optshape_graph.detection import detect_targets
-    from optshape_graph.errors import InputError
-    from optshape_graph.io import load_sensor, load_target, read_scan
-    from optshape_graph.io.documents import write_json
+    from optshape_graph.cli.console import progress_bar
+    from optshape_graph.cli.inputs import scan_paths
+    from optshape_graph.cli.outputs import Outputs
+    from optshape_graph.cli.report import report
+    from optshape_graph.detection.files import DetectFile
+    from optshape_graph.io import load_sensor, load_target
+    from optshape_graph.runs.files import run_files
 
-    wanted = [load_target(target) for target in targets]
-    model = load_sensor(sensor) if sensor else None
-    entries: list[dict[str, Any]] = []
-    rows: list[list[str]] = []
-    reasons: list[str] = []
-    unusable: list[InputError] = []
-    pictures = Pictures(plots) if plots else None
-    with progress_bar("detecting") as progress:
-        for done, (path, name) in enumerate(zip(scans, names_of(scans), strict=True)):
-            progress(done, len(scans))
-            try:
-                scan = read_scan(path, model)
-                detections = detect_targets(scan, wanted)
-            except InputError as error:
-                unusable.append(error)
-                reasons.append(str(error))
-                rows.append([path.name, "failed", *[""] * 7])
-                entries.append({"scan": str(path), "targets": [], "rejected": [], "error": str(error)})
-                continue
-            found = [_target(one) for one in detections.found]
-            rejected = [_rejected(one) for one in detections.rejected]
-            entries.append({"scan": str(path), "targets": found, "rejected": rejected})
-            rows += [_row(path, one) for one in detections.found]
-            if pictures:
-                from optshape_graph.viz.pose import plot_fit
-                from optshape_graph.viz.scan import plot_detections
-
-                pictures.save(name, plot_detections(scan, detections))
-                for k, one in enumerate(detections.found):
-                    pictures.save(f"{name}_{k}_{one.target.name}", plot_fit(scan, one.estimate))
-            if not found:
-                rows.append([path.name, "none", *[""] * 6, f"{len(rejected)} rejected"])
-            reasons += [f"{path}: {one.status}: {one.reason}" for one in detections.found if one.reason]
-    if len(unusable) == len(scans):
-        raise unusable[0]
-    if json_path:
-        write_json(json_path, {"schema": "optshape/detect/1", "scans": entries})
-    print_table(
-        "T_lidar_target",
-        ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "margin"],
-        rows,
-        "score: 0 to 1. margin: log likelihood to the next of the targets asked for, where one fits as well.",
-    )
-    if pictures:
-        pictures.tell()
-    for reason in reasons:
-        click.echo(f"optshape: {reason}", err=True)
-    return 3 if reasons else 0
+    paths = scan_paths(scans)
+    outputs = Outputs([*paths, *targets, sensor], force=force)
+    outputs.file("--json", json_path, "detect", bytes_needed=BYTES * len(paths))
+    outputs.folder("--plot", plots)
+    draw = Draw(plots, names_of(paths)) if plots else None
+    detect = DetectFile(tuple(map(load_target, targets)), load_sensor(sensor) if sensor else None, draw)
+    with (
+        progress_bar("detecting") as progress,
+        run_files(detect, paths, detect.failed, form="detect", describe=detect.describe() | drawn(plots),
+                  output=json_path, pool=pool, progress=progress) as results,
+    ):  # fmt: skip
+        return report(
+            results,
+            "T_lidar_target",
+            ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "margin"],
+            rows,
+            "score: 0 to 1. margin: log likelihood to the next of the targets asked for, where one fits as well.",
+            json_path,
+        )
 
 
-def _target(detection: Detection) -> dict[str, Any]:
-    estimate = detection.estimate
-    return {
-        "target": detection.target.name,
-        "T_lidar_target": estimate.T_lidar_target,
-        "covariance": estimate.covariance,
-        "equivalent_poses": estimate.equivalent_poses,
-        "return_indices": detection.indices[~detection.doubtful],
-        "doubtful_indices": detection.indices[detection.doubtful],
-        "score": detection.score,
-        "status": detection.status,
-        "reason": detection.reason,
-        "rival": detection.rival.name if detection.rival else None,
-        "margin": detection.margin if detection.rival else None,
-        "probabilities": dict(detection.probabilities),
-        "evidence": vars(detection.evidence),
-    }
+@dataclass(frozen=True)
+class Draw:
+    """Draws a scan with what was found in it, and the fit of every target.
+
+    Attributes:
+        folder: for the pictures.
+        names: of the pictures of each scan.
+    """
+
+    folder: Path
+    names: dict[str, str]
+
+    def __call__(self, path: str, scan: Scan, detections: Detections) -> list[Path]:
+        from optshape_graph.viz.pose import plot_fit
+        from optshape_graph.viz.scan import plot_detections
+
+        name = self.names[path]
+        fits = {f"{name}_{k}_{one.target.name}": plot_fit(scan, one.estimate) for k, one in enumerate(detections.found)}
+        figures = {name: plot_detections(scan, detections), **fits}
+        return [save_picture(self.folder, title, figure) for title, figure in figures.items()]
 
 
-def _rejected(rejection: Rejection) -> dict[str, Any]:
-    return {
-        "reason": rejection.reason,
-        "target": rejection.target or None,
-        "centre": rejection.centre,
-        "returns": rejection.n_returns,
-        "rings": rejection.n_rings,
-        "area_m2": rejection.area,
-    }
-
-
-def _row(path: Path, detection: Detection) -> list[str]:
-    position = detection.estimate.T_lidar_target[:3, 3]
+def rows(entry: dict[str, Any], status: str) -> list[list[str]]:
+    """Return the rows of an entry of the document: one for each target found."""
+    name = Path(entry["scan"]).name
+    if "error" in entry:
+        return [[name, "failed", *[""] * 7]]
+    if not entry["targets"]:
+        return [[name, "none", *[""] * 6, f"{len(entry['rejected'])} rejected"]]
     return [
-        path.name,
-        detection.target.name,
-        detection.status,
-        *(f"{x:.3f}" for x in position),
-        f"{detection.score:.2f}",
-        str(len(detection.indices)),
-        f"{detection.margin:.3g}" if detection.rival else "",
+        [
+            name,
+            found["target"],
+            found["status"],
+            *(f"{line[3]:.3f}" for line in found["T_lidar_target"][:3]),
+            f"{found['score']:.2f}",
+            str(len(found["return_indices"]) + len(found["doubtful_indices"])),
+            f"{found['margin']:.3g}" if found["rival"] else "",
+        ]
+        for found in entry["targets"]
     ]

@@ -36,6 +36,7 @@ PURPOSES = {
     "ouster": "packets of Ouster sensors (not beside `ros`: install it with pip --no-deps)",
     "mesh": "meshes in simulated scenes, and the Open3D viewer",
     "evaluate": "accuracy sweeps and tables (optshape evaluate)",
+    "dataframe": "results as pandas data frames (to_dataframe)",
     "dask": "sweeps on several machines (--dask)",
     "view": "the Rerun viewer (optshape view)",
     "notebooks": "the notebooks, in Jupyter",

@@ -2,145 +2,128 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from optshape_graph.cli.plots import Pictures, names_of, plot_option
+from optshape_graph.cli.options import FILE, force_option, pool_options
+from optshape_graph.cli.plots import names_of, plot_option, save_picture
 
 if TYPE_CHECKING:
     from optshape_graph.pose import PoseEstimate
+    from optshape_graph.runs.workers import Pool
+    from optshape_graph.scan import Scan
+
+BYTES = 12_000
+"""Of an entry of the document and its line in the journal, about: what the disk must have room for."""
 
 
 @click.command()
-@click.argument("scans", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="SCAN...")
+@click.argument("scans", nargs=-1, required=True, metavar="SCAN...")
 @click.option("--target", required=True, help="Built-in name, NAME@AREA in m2, or target file.")
 @click.option("--sensor", help="Built-in name or sensor file. Without it: rings from the cloud, noise of a centimetre.")
 @click.option("--method", type=click.Choice(["global", "paper"]), default="global", show_default=True,
               help="'paper' is the published alternation, for comparison.")  # fmt: skip
-@click.option("--backend", type=click.Choice(["clarabel", "cvxpy"]), default="clarabel", show_default=True,
-              help="What solves the relaxation behind the certificate.")  # fmt: skip
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@click.option("--backend", type=click.Choice(["closed-form", "clarabel", "cvxpy"]), default="closed-form",
+              show_default=True, help="What solves the relaxation behind the certificate.")  # fmt: skip
+@click.option("--json", "json_path", type=FILE, help="Write the results to this file; until it is whole they are kept "
+              "in FILE.journal, from which the same command goes on.")  # fmt: skip
+@pool_options
+@force_option
 @plot_option("for every scan the fit, edges, residuals and vertices, and the runner-up where ambiguous")
-@click.pass_context
 def command(
-    ctx: click.Context,
-    scans: tuple[Path, ...],
+    scans: tuple[str, ...],
     target: str,
     sensor: str | None,
     method: str,
     backend: str,
     json_path: Path | None,
+    pool: Pool | None,
+    force: bool,
     plots: Path | None,
 ) -> int:
     """Estimate a target's pose in each SCAN (PCD, PLY, NPZ or CSV), which holds the target's returns and no others.
 
-    Exit status 3: some scans failed or are ambiguous; the results of the others are written.
+    A SCAN is a file, a folder of clouds, a pattern in quotes ('drive/*.pcd'), or @LIST: a text file with a name on each
+    line. Exit status 3: some scans failed or are ambiguous; the results of the others are written.
     """
-    from optshape_graph.cli.console import print_table, progress_bar
-    from optshape_graph.errors import EstimationError, InputError
-    from optshape_graph.io import load_sensor, load_target, read_scan
-    from optshape_graph.io.documents import write_json
-    from optshape_graph.pose import estimate_pose
+    from optshape_graph.cli.console import progress_bar
+    from optshape_graph.cli.inputs import scan_paths
+    from optshape_graph.cli.outputs import Outputs
+    from optshape_graph.cli.report import report
+    from optshape_graph.io import load_sensor, load_target
+    from optshape_graph.pose.files import EstimateFile
+    from optshape_graph.runs.files import run_files
 
-    template = load_target(target)
-    model = load_sensor(sensor) if sensor else None
-    entries: list[dict[str, Any]] = []
-    rows: list[list[str]] = []
-    reasons: list[str] = []
-    unreadable: list[InputError] = []
-    pictures = Pictures(plots) if plots else None
-    with progress_bar("estimating") as progress:
-        for done, (path, name) in enumerate(zip(scans, names_of(scans), strict=True)):
-            progress(done, len(scans))
-            try:
-                scan = read_scan(path, model)
-                estimate = estimate_pose(scan, template, method, backend)  # type: ignore[arg-type]  # click checked them
-            except (InputError, EstimationError) as error:
-                if isinstance(error, InputError):
-                    unreadable.append(error)
-                entries.append(_failed(path, template.name, str(error)))
-                rows.append([path.name, "failed", *[""] * 8])
-                reasons.append(f"{path}: {error}" if isinstance(error, EstimationError) else str(error))
-                continue
-            entries.append(_entry(path, estimate))
-            rows.append(_row(path, estimate))
-            if pictures:
-                from optshape_graph.viz.pose import plot_estimate
-
-                for kind, figure in plot_estimate(scan, estimate).items():
-                    pictures.save(f"{name}_{kind}", figure)
-            if estimate.reason:
-                reasons.append(f"{path}: {estimate.status}: {estimate.reason}")
-    if len(unreadable) == len(scans):
-        raise unreadable[0]
-    if json_path:
-        write_json(json_path, {"schema": "optshape/estimate/1", "scans": entries})
-    print_table(
-        f"{template.name}: T_lidar_target",
-        ["scan", "status", "x [m]", "y [m]", "z [m]", "± mm", "± deg", "cert.", "margin", "returns"],
-        rows,
-        "±: largest standard deviation of position and rotation. cert.: globally optimal. "
-        "margin: log likelihood to the best different pose.",
-    )
-    if pictures:
-        pictures.tell()
-    for reason in reasons:
-        click.echo(f"optshape: {reason}", err=True)
-    return 0 if all(entry["status"] == "ok" for entry in entries) else 3
+    paths = scan_paths(scans)
+    outputs = Outputs([*paths, target, sensor], force=force)
+    outputs.file("--json", json_path, "estimate", bytes_needed=BYTES * len(paths))
+    outputs.folder("--plot", plots)
+    template, model = load_target(target), load_sensor(sensor) if sensor else None
+    draw = Draw(plots, names_of(paths)) if plots else None
+    estimate = EstimateFile(template, model, method, backend, draw)  # type: ignore[arg-type]  # click checked them
+    with (
+        progress_bar("estimating") as progress,
+        run_files(estimate, paths, estimate.failed, form="estimate", describe=estimate.describe() | drawn(plots),
+                  output=json_path, pool=pool, progress=progress) as results,
+    ):  # fmt: skip
+        return report(
+            results,
+            f"{template.name}: T_lidar_target",
+            ["scan", "status", "x [m]", "y [m]", "z [m]", "± mm", "± deg", "cert.", "margin", "returns"],
+            rows,
+            "±: largest standard deviation of position and rotation. cert.: globally optimal. "
+            "margin: log likelihood to the best different pose.",
+            json_path,
+        )
 
 
-def _failed(path: Path, target: str, reason: str) -> dict[str, Any]:
-    empty = dict.fromkeys(
-        ["T_lidar_target", "covariance", "vertices", "certificate", "ambiguity", "equivalent_poses", "inset_rad",
-         "labels", "edge_points", "n_returns"]
-    )  # fmt: skip
-    return {"scan": str(path), "target": target, "status": "failed", "reason": reason, **empty}
+@dataclass(frozen=True)
+class Draw:
+    """Draws what there is to see of an estimate.
+
+    Attributes:
+        folder: for the pictures.
+        names: of the pictures of each scan.
+    """
+
+    folder: Path
+    names: dict[str, str]
+
+    def __call__(self, path: str, scan: Scan, estimate: PoseEstimate) -> list[Path]:
+        from optshape_graph.viz.pose import plot_estimate
+
+        figures = plot_estimate(scan, estimate)
+        return [save_picture(self.folder, f"{self.names[path]}_{kind}", figure) for kind, figure in figures.items()]
 
 
-def _entry(path: Path, estimate: PoseEstimate) -> dict[str, Any]:
-    usable = estimate.status != "failed"
-    rival = estimate.ambiguity.T_lidar_target
-    return {
-        "scan": str(path),
-        "target": estimate.target.name,
-        "status": estimate.status,
-        "reason": estimate.reason,
-        "T_lidar_target": estimate.T_lidar_target.tolist() if usable else None,
-        "covariance": estimate.covariance.tolist() if usable else None,
-        "vertices": estimate.vertices.tolist() if usable else None,
-        "certificate": {
-            "certified": estimate.certificate.certified,
-            "gap_m2": estimate.certificate.gap_m2,
-            "second_eigenvalue": estimate.certificate.second_eigenvalue,
-        },
-        "ambiguity": {
-            "margin": estimate.ambiguity.margin if rival is not None else None,
-            "T_lidar_target": rival.tolist() if rival is not None else None,
-        },
-        "equivalent_poses": estimate.equivalent_poses.tolist() if usable else None,
-        "inset_rad": estimate.inset_rad if len(estimate.labels) else None,
-        "labels": estimate.labels.tolist(),
-        "edge_points": estimate.edge_points.points.tolist(),
-        "n_returns": estimate.n_returns,
-    }
+def drawn(plots: Path | None) -> dict[str, Any]:
+    """Return where pictures go, as part of what is run: one that is to draw finds nothing done by one that was not."""
+    return {"pictures": str(plots.resolve()) if plots else None}
 
 
-def _row(path: Path, estimate: PoseEstimate) -> list[str]:
+def rows(entry: dict[str, Any], status: str) -> list[list[str]]:
+    """Return the row of an entry of the document."""
     import numpy as np
 
-    sd = np.sqrt(np.diag(estimate.covariance))
-    t = estimate.T_lidar_target[:3, 3]
-    margin = "" if estimate.ambiguity.T_lidar_target is None else f"{min(estimate.ambiguity.margin, 999):.0f}"
-    usable = estimate.status != "failed"
+    name = Path(entry["scan"]).name
+    if entry["certificate"] is None:
+        return [[name, "failed", *[""] * 8]]
+    if entry["T_lidar_target"] is None:
+        return [[name, "failed", *[""] * 7, str(entry["n_returns"])]]
+    sd = np.sqrt(np.diag(entry["covariance"]))
+    margin = entry["ambiguity"]["margin"]
     return [
-        path.name,
-        estimate.status,
-        *(f"{value:.3f}" if usable else "" for value in t),
-        f"{1e3 * sd[3:].max():.1f}",
-        f"{np.degrees(sd[:3].max()):.2f}",
-        "yes" if estimate.certificate.certified else "no",
-        margin,
-        str(estimate.n_returns),
+        [
+            name,
+            entry["status"],
+            *(f"{line[3]:.3f}" for line in entry["T_lidar_target"][:3]),
+            f"{1e3 * sd[3:].max():.1f}",
+            f"{np.degrees(sd[:3].max()):.2f}",
+            "yes" if entry["certificate"]["certified"] else "no",
+            "" if margin is None else f"{min(margin, 999):.0f}",
+            str(entry["n_returns"]),
+        ]
     ]

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import os
 import sys
+from typing import NoReturn
 
 import click
 
 import optshape_graph
 from optshape_graph.cli.lazy import LazyGroup
+from optshape_graph.names import shown
+from optshape_graph.runs.interruption import Stopped, stop_on_signals
 
 COMMANDS = {
+    "info": "optshape_graph.cli.info",
     "estimate": "optshape_graph.cli.estimate",
     "detect": "optshape_graph.cli.detect",
     "calibrate": "optshape_graph.cli.calibrate",
@@ -27,6 +33,7 @@ COMMANDS = {
 """Command name to the module that defines it as `command`; imported when it is called."""
 
 HELP = {
+    "info": "Say what a file is: form, fields, units, rings, times, topics, the sensor.",
     "estimate": "Estimate a target's pose in scans that hold its returns.",
     "detect": "Find targets in full scans, and tell them apart by shape.",
     "calibrate": "Calibrate a LiDAR to motion capture, or to a camera.",
@@ -57,35 +64,67 @@ def cli(debug: bool) -> None:
     Exit status: 0 all well; 1 unexpected; 2 bad usage or input; 3 some scans failed or are ambiguous
     (the results of the others are written).
     """
-    logging.basicConfig(format="optshape: %(levelname)s: %(message)s", level=logging.WARNING)
+    handler = logging.StreamHandler()
+    handler.setFormatter(OneLine("optshape: %(levelname)s: %(message)s"))
+    logging.basicConfig(handlers=[handler], level=logging.WARNING)
 
 
-def one_line(message: str) -> str:
-    """Return a message, which may quote a file, without line breaks and whatever else a terminal would obey."""
-    shown = message if len(message) <= LONGEST_MESSAGE else message[: LONGEST_MESSAGE - 3] + "..."
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in shown)
+class OneLine(logging.Formatter):
+    """Log messages in one line each, in which nothing is obeyed by a terminal."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
+        return shown(super().format(record), LONGEST_MESSAGE)
 
 
 def main() -> None:
     """Run the command line; every error is one line and a non-zero exit status."""
     debug = "--debug" in sys.argv
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # an ASCII terminal gets escapes of what it has not
+            stream.reconfigure(errors="backslashreplace")
     try:
+        stop_on_signals()
         code = cli(standalone_mode=False)
-    except click.exceptions.Abort:
-        click.echo("optshape: interrupted", err=True)
-        sys.exit(130)
+        sys.stdout.flush()
+    except Stopped as stopped:
+        end(
+            f"stopped by {stopped.signal.name}" + (f": {stopped.advice}" if stopped.advice else ""), stopped.exit_status
+        )
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        end("stopped by SIGINT", 130)
     except click.ClickException as error:
-        error.show()
+        said = error.format_message()
+        if isinstance(error, click.UsageError) and error.ctx is not None:
+            click.echo(f"{error.ctx.get_usage()}\nTry '{error.ctx.command_path} --help' for help.\n", err=True)
+        click.echo(f"Error: {shown(said, LONGEST_MESSAGE)}", err=True)
         sys.exit(2)
+    except BrokenPipeError:  # whoever read the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
     except (optshape_graph.OptshapeError, OSError) as error:
         if debug:
-            raise
-        click.echo(f"optshape: error: {one_line(str(error))}", err=True)
-        sys.exit(2)
+            show_traceback(error)
+        end(f"error: {error}", 2)
+    except MemoryError:
+        end("error: not enough memory", 2)
     except Exception as error:
         if debug:
-            raise
-        said = one_line(str(error))
-        click.echo(f"optshape: unexpected {type(error).__name__}: {said} (--debug shows where)", err=True)
-        sys.exit(1)
+            show_traceback(error)
+        end(f"unexpected {type(error).__name__}: {shown(error, LONGEST_MESSAGE)} (--debug shows where)", 1)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def end(message: str, status: int) -> NoReturn:
+    """Say why in one line, and exit."""
+    with contextlib.suppress(OSError):
+        click.echo(f"optshape: {shown(message, LONGEST_MESSAGE)}", err=True)
+    sys.exit(status)
+
+
+def show_traceback(error: Exception) -> None:
+    """Print where an error came from, line by line, so that nothing in it is obeyed."""
+    import traceback
+
+    for line in "".join(traceback.format_exception(error)).splitlines():
+        click.echo(shown(line), err=True)

@@ -35,8 +35,8 @@ MANY = 60
               help="Built-in name, NAME@AREA, or file; may be repeated. A session names its own.")  # fmt: skip
 @click.option("--sensor", "sensor_name", help="The LiDAR: built-in name or file. A session names its own.")
 @click.option("--scans", "scan_topic", metavar="TOPIC", help="Not needed where there is only one.")
-@click.option("--odometry", metavar="TOPIC|FILE.tum",
-              help="Topic of poses, or a TUM file; `none` for none.  "
+@click.option("--odometry", metavar="TOPIC|FILE",
+              help="Topic of poses, or a file of them (TUM, EuRoC, Motive); `none` for none.  "
               "[default: the only topic of poses, if there is one]")  # fmt: skip
 @click.option("--mounting", nargs=6, type=float, metavar="X Y Z ROLL PITCH YAW",
               help="The LiDAR on the body that the odometry is of: metres and degrees.  "
@@ -180,13 +180,13 @@ def _open(
     """Scans, targets, odometry, the number of scans if it is known, and what says which messages were skipped."""
     from optshape_graph.io import load_sensor, load_session, load_target
     from optshape_graph.io.recordings import Recording, Skipped, Stamped
-    from optshape_graph.io.trajectories import read_tum
+    from optshape_graph.io.trajectories import is_trajectory, read_trajectory
     from optshape_graph.mapping.recording import OdometryTrack, session_scans
 
     poses: Iterable[Stamped[Any]] | None = None
-    if odometry is not None and Path(odometry).suffix == ".tum":
-        trajectory = read_tum(odometry)
-        assert trajectory.stamps is not None  # TUM has them
+    if odometry is not None and is_trajectory(odometry):
+        trajectory = read_trajectory(odometry)
+        assert trajectory.stamps is not None  # what is read has them
         poses = [Stamped(float(stamp), T) for stamp, T in zip(trajectory.stamps, trajectory.poses, strict=True)]
     T_body_lidar = None if mounting is None else _placed(mounting)
     if source.suffix.lower() in (".yaml", ".yml", ".json"):

@@ -2,10 +2,59 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import click
+
+from optshape_graph.runs.workers import Pool
+
+MOST_WORKERS = 1024
+MOST_SEED = 2**63 - 1
+"""Of NumPy's seeds that fit a JSON number everywhere."""
+
+FILE = click.Path(dir_okay=False, path_type=Path)
+FOLDER = click.Path(file_okay=False, path_type=Path)
+
+
+class Number(click.ParamType):  # type: ignore[type-arg]  # generic in newer versions of click only
+    """A finite number within a range, whose message names it.
+
+    Args:
+        least: the number is at least this.
+        most: it is at most this.
+        open: leave out the least itself.
+    """
+
+    name = "number"
+
+    def __init__(self, least: float = -math.inf, most: float = math.inf, *, open: bool = False) -> None:
+        self.least, self.most, self.open = least, most, open
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number that a text is."""
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = math.nan
+        above = number > self.least if self.open else number >= self.least
+        if not (above and number <= self.most and math.isfinite(number)):
+            self.fail(f"expected a number {self._range()}, found '{value}'", param, ctx)
+        return number
+
+    def _range(self) -> str:
+        least = f"{'above' if self.open else 'of at least'} {self.least:g}" if math.isfinite(self.least) else ""
+        most = f"of at most {self.most:g}" if math.isfinite(self.most) else ""
+        return " and ".join(filter(None, [least, most])) or "that is finite"
+
+
+POSITIVE = Number(0.0, open=True)
+DISTANCE = Number(0.0, 1000.0, open=True)
+"""Metres of a target from the sensor."""
+ANGLE = Number(-360.0, 360.0)
+"""Degrees."""
 
 
 def outside_option(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -14,3 +63,40 @@ def outside_option(function: Callable[..., Any]) -> Callable[..., Any]:
         "--allow-outside", is_flag=True,
         help="Follow relative paths of a session, and links, farther than into its folder and the one above.",
     )(function)  # fmt: skip
+
+
+def force_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--force` to a command that writes files; it takes the value as `force`."""
+    return click.option("--force", is_flag=True, help="Write over files that are there, inputs never.")(function)
+
+
+def pool_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--workers`, `--dask` and `--dask-tls`; the command takes what they make as `pool`, None for the default."""
+
+    def with_pool(*args: Any, workers: int | None, dask: str | None, dask_tls: Any, **kwargs: Any) -> Any:
+        if dask is None and dask_tls is not None:
+            raise click.UsageError("--dask-tls goes with --dask")
+        if dask is not None and workers is not None:
+            raise click.UsageError("give either --workers or --dask")
+        pool = None if workers is None and dask is None else Pool(workers or 1, dask, dask_tls)
+        return function(*args, pool=pool, **kwargs)
+
+    with_pool.__doc__ = function.__doc__
+    with_pool.__click_params__ = getattr(function, "__click_params__", [])  # type: ignore[attr-defined]  # click's own
+    for option in (
+        click.option("--dask-tls", nargs=3, type=click.Path(exists=True, dir_okay=False, path_type=Path),
+                     metavar="CA CERT KEY", help="Files (PEM) for TLS with it: authority, certificate, key."),
+        click.option("--dask", metavar="ADDRESS", help="Use the workers of this Dask scheduler instead."),
+        click.option("--workers", type=click.IntRange(1, MOST_WORKERS), help="Processes on this machine."),
+    ):  # fmt: skip
+        option(with_pool)
+    return with_pool
+
+
+def seed_option(what: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return the decorator that adds `--seed`.
+
+    Args:
+        what: is drawn from it, for the help.
+    """
+    return click.option("--seed", type=click.IntRange(0, MOST_SEED), default=0, show_default=True, help=what)

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.cli.console import say
+from optshape_graph.names import file_name
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -29,7 +32,7 @@ def plot_option(what: str, *aliases: str) -> Callable[[Callable[..., Any]], Call
 
 
 class Pictures:
-    """Pictures on their way into a folder.
+    """Pictures on their way into a folder. One of the same name that is there is replaced.
 
     Args:
         folder: where to; it is made when there is a first one.
@@ -41,21 +44,26 @@ class Pictures:
 
     def save(self, name: str, figure: Figure) -> None:
         """Write a figure as NAME.png, whatever characters the name has."""
-        from optshape_graph.viz.style import file_name, save_figure
-
-        self.paths.append(save_figure(figure, self.folder / f"{file_name(name)}.png"))
+        self.paths.append(save_picture(self.folder, name, figure))
 
     def tell(self) -> None:
         """Name the files."""
         for path in self.paths:
-            click.echo(f"picture: {path}")
+            say(f"picture: {path}")
 
 
-def names_of(paths: Sequence[Path]) -> list[str]:
+def save_picture(folder: Path, name: str, figure: Figure) -> Path:
+    """Write a figure as NAME.png into a folder, whatever characters the name has; return its path."""
+    from optshape_graph.viz.style import save_figure
+
+    return save_figure(figure, folder / f"{file_name(name)}.png")
+
+
+def names_of(paths: Sequence[str]) -> dict[str, str]:
     """Return a name for the pictures of each file: its own without the ending, numbered where two are alike."""
-    stems = [path.stem for path in paths]
-    times = Counter(stems)
-    return [stem if times[stem] == 1 else f"{k:03d}_{stem}" for k, stem in enumerate(stems)]
+    times = Counter(Path(path).stem for path in paths)
+    stems = ((k, path, Path(path).stem) for k, path in enumerate(paths))
+    return {path: stem if times[stem] == 1 else f"{k:03d}_{stem}" for k, path, stem in stems}
 
 
 def _checked(ctx: click.Context, parameter: click.Parameter, value: Path | None) -> Path | None:

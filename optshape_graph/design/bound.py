@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.errors import InputError
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
@@ -140,8 +140,8 @@ def _by_azimuth(points: Floats, normals: Floats, T_lidar_target: Floats) -> Floa
     return np.asarray((np.cross(R[2], points + R.T @ t) * normals).sum(axis=1))
 
 
-@dataclass(frozen=True, eq=False)
-class _Rays:
+@dataclass(frozen=True, eq=False, repr=False)
+class _Rays(Value):
     """Rays of all rings over the target's azimuths: (R, A) of them, in the target frame.
 
     Attributes:

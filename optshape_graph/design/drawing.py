@@ -11,7 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.design.polygons import centroids
 from optshape_graph.target import Target
 
@@ -32,8 +32,8 @@ class Layer(StrEnum):
     SHEET = "SHEET"
 
 
-@dataclass(frozen=True, eq=False)
-class Polyline:
+@dataclass(frozen=True, eq=False, repr=False)
+class Polyline(Value):
     """A polyline.
 
     Attributes:

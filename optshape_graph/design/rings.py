@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.sensor import SensorModel
 
@@ -55,8 +55,8 @@ class UniformRings:
         return np.asarray(low[..., None] + (high - low)[..., None] * fractions)
 
 
-@dataclass(frozen=True, eq=False)
-class SensorRings:
+@dataclass(frozen=True, eq=False, repr=False)
+class SensorRings(Value):
     """The rings of a sensor on an upright target that faces it.
 
     An area is a placement: the target's centre at one of several heights within a gap between two rings, since

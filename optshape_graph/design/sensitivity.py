@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats
+from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.design.polygons import strictly_convex
 from optshape_graph.design.rings import Rings
 
@@ -24,8 +24,8 @@ MU = 1e-3
 """Weight of the chords in the published score."""
 
 
-@dataclass(frozen=True, eq=False)
-class EdgeCrossings:
+@dataclass(frozen=True, eq=False, repr=False)
+class EdgeCrossings(Value):
     """Rings against edges: (k, n, ..., m) for k rings in each of m areas of (..., n, 2) polygons, in their unit.
 
     Attributes:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.detection.patches import Patch
 from optshape_graph.detection.segments import OrderedScan, Runs, find_borders, find_runs, ring_ends
@@ -16,8 +16,8 @@ from optshape_graph.pose.association import ReturnsPlane, fit_plane
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
+@dataclass(frozen=True, eq=False, repr=False)
+class Candidate(Value):
     """Connected returns in one plane.
 
     Attributes:
@@ -167,8 +167,8 @@ def _beyond(end: Floats, height: Floats, near: int, far: int) -> Floats:
     return meets
 
 
-@dataclass(frozen=True, eq=False)
-class Size:
+@dataclass(frozen=True, eq=False, repr=False)
+class Size(Value):
     """Measures of a polygon that no rotation changes.
 
     Attributes:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from optshape_graph.detection.candidates import Candidate, Size, grow
-from optshape_graph.detection.identify import identify, rejection
+from optshape_graph.detection.identify import PASSED_AT_FIRST, identify, rejection
 from optshape_graph.detection.judge import not_stepped
 from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.detection.patches import find_patches
@@ -40,7 +40,7 @@ def detect_targets(scan: Scan, targets: Target | Sequence[Target], options: Dete
     try:
         ordered = order_scan(scan, options)
     except EstimationError:
-        return Detections((), ())
+        return Detections((), (), scan.name)
     sizes = [Size.of(target) for target in wanted]
     found: list[Detection] = []
     rejected: list[Rejection] = []
@@ -53,7 +53,8 @@ def detect_targets(scan: Scan, targets: Target | Sequence[Target], options: Dete
         if detection is not None:
             taken[candidate.rows] = True
             found.append(detection)
-    return Detections(tuple(sorted(found, key=lambda one: -one.score)), tuple(rejected))
+    rejected.sort(key=lambda one: (-one.passed, -one.n_returns))
+    return Detections(tuple(sorted(found, key=lambda one: -one.score)), tuple(rejected), scan.name)
 
 
 def _wanted(targets: Target | Sequence[Target]) -> tuple[Target, ...]:
@@ -86,21 +87,21 @@ def _candidates(ordered: OrderedScan, sizes: Sequence[Size], rejected: list[Reje
             candidate = grow(ordered, patch, 1.5 * diameter)
         except EstimationError:
             continue
-        problem = _problem(candidate, sizes, ordered.options)
+        problem, passed = _problem(candidate, sizes, ordered.options)
         if problem:
-            rejected.append(rejection(candidate, problem))
+            rejected.append(rejection(candidate, problem, passed))
         else:
             candidates.append(candidate)
     return sorted(candidates, key=lambda one: -len(one.rows))
 
 
-def _problem(candidate: Candidate, sizes: Sequence[Size], options: DetectionOptions) -> str:
-    """Say why a candidate can be none of the targets; empty: it can be one."""
+def _problem(candidate: Candidate, sizes: Sequence[Size], options: DetectionOptions) -> tuple[str, int]:
+    """Say why a candidate can be none of the targets, and how many tests it passed; empty: it can be one."""
     objections = [size.objection(candidate, options) for size in sizes]
     if all(objections):
-        return objections[0]
+        return objections[0], 0
     if candidate.n_rings < options.fewest_rings:
-        return f"{candidate.n_rings} rings on it; at least {options.fewest_rings} are needed"
+        return f"{candidate.n_rings} rings on it; at least {options.fewest_rings} are needed", 1
     if candidate.stepped < options.least_evidence.stepped:
-        return not_stepped(candidate.stepped)
-    return ""
+        return not_stepped(candidate.stepped), 2
+    return "", PASSED_AT_FIRST

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
+
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph.detection.rays import Rays, fired_near, returned_near
 from optshape_graph.detection.results import Evidence
-from optshape_graph.detection.segments import OrderedScan, find_borders
+from optshape_graph.detection.segments import OrderedScan, find_borders, ring_ends
 from optshape_graph.pose import PoseEstimate
-from optshape_graph.pose.likelihood import chords
 from optshape_graph.se3 import apply
 
 _CENTRAL = 1.96  # standard deviations about the plane within which 95 % of the returns lie
+_STRAYS = 0.1  # share of ring ends that lie anywhere: mixed, lost, or on what touches the target
 
 
 def edge_margin(scan: OrderedScan, estimate: PoseEstimate) -> float:
@@ -30,14 +33,14 @@ def returns_of(scan: OrderedScan, estimate: PoseEstimate, margin: float) -> Ints
 
     A ring whose rays nearly all pass through the target's place does not meet it: what returns there is a pole.
     """
-    rows, yz, behind = _rays_near(scan, estimate, estimate.target.circumradius + margin)
+    rays = returned_near(scan, estimate, estimate.target.circumradius + margin)
     band = scan.band(estimate.plane[:3], estimate.T_lidar_target[:3, 3])
-    within = estimate.target.contains(yz, margin)
+    within, behind, ring = estimate.target.contains(rays.crossing, margin), rays.points[:, 0], scan.ring[rays.rows]
     on, through = within & (np.abs(behind) <= band), within & (behind > band)
     n_rings = len(scan.elevations)
-    count_on, count_through = (np.bincount(scan.ring[rows[which]], minlength=n_rings) for which in (on, through))
+    count_on, count_through = (np.bincount(ring[which], minlength=n_rings) for which in (on, through))
     pierced = count_through >= np.maximum(scan.options.pierced_rays, scan.options.pierced_share * count_on)
-    return np.asarray(rows[on & ~pierced[scan.ring[rows]]])
+    return np.asarray(rays.rows[on & ~pierced[ring]])
 
 
 def undoubted(scan: OrderedScan, estimate: PoseEstimate, rows: Ints) -> Bools:
@@ -70,48 +73,53 @@ def judge(scan: OrderedScan, connected: Ints, own: Ints, estimate: PoseEstimate,
     target = estimate.target
     slack = 2.0 * margin / float(target.offsets.min())
     outer = 1.0 + slack + scan.options.rim
-    rows, yz, behind = _rays_near(scan, estimate, outer * target.circumradius)
-    gauge = (yz @ (target.normals / target.offsets[:, None]).T).max(axis=1)
+    rays = returned_near(scan, estimate, outer * target.circumradius)
+    fired = fired_near(scan, estimate, outer * target.circumradius)
     band = scan.band(estimate.plane[:3], estimate.T_lidar_target[:3, 3])
-    inside, beside = gauge < 1.0 - slack, (gauge > 1.0 + slack) & (gauge < outer)
+    behind = rays.points[:, 0]
     on, through, before = np.abs(behind) <= band, behind > band, behind < -band
 
-    reference = float(np.arctan2(*estimate.T_lidar_target[[1, 0], 3]))
+    def regions(crossing: Floats) -> tuple[Bools, Bools, Bools]:
+        """Inside the outline, beside it, and either or on its rim."""
+        gauge = (crossing @ (target.normals / target.offsets[:, None]).T).max(axis=1)
+        return gauge < 1.0 - slack, (gauge > 1.0 + slack) & (gauge < outer), gauge <= 1.0 + slack
 
-    def rays(scale: float) -> float:
-        vertices = apply(estimate.T_lidar_target, scale * target.vertices)
-        right, left = chords(vertices[None], scan.elevations, reference)
-        return float(np.maximum(left - right, 0.0).sum() / scan.resolution.step)
-
-    expected_inside = max(rays(max(1.0 - slack, 0.0)) - (inside & before).sum(), 1.0)
-    expected_beside = max(rays(outer) - rays(1.0 + slack), 1.0)
-    within = np.isin(connected, rows[gauge <= 1.0 + slack])
+    inside, beside, upto_rim = regions(rays.crossing)
+    fired_inside, fired_beside, _ = regions(fired)
+    expected = max(float(fired_inside.sum() - (inside & before).sum()), 1.0)
     n_on = float((inside & on).sum())
+    borders = find_borders(scan, own)
+    ends = _Ends.of(scan, own, borders.hidden, estimate)
     return Evidence(
-        contained=float(within.mean()),
-        covered=min(n_on / float(expected_inside), 1.0),
-        edged=_edged(scan, estimate),
+        contained=float(np.isin(connected, rays.rows[upto_rim]).mean()),
+        covered=min(n_on / expected, 1.0),
+        edged=ends.edged,
         solid=n_on / max(n_on + float((inside & through).sum()), 1.0),
-        free=max(1.0 - float((beside & (on | before)).sum() / expected_beside), 0.0),
-        stepped=float(find_borders(scan, own).open.mean()),
+        free=max(1.0 - float((beside & (on | before)).sum()) / max(float(fired_beside.sum()), 1.0), 0.0),
+        stepped=float(borders.open.mean()),
+        apart=_apart(scan, estimate, rays, fired, band),
+        seen=_seen(scan, estimate),
+        distinct=ends.distinct(2.0 * target.circumradius),
     )
 
 
-def objection(evidence: Evidence, least: Evidence) -> str:
-    """Say what speaks against a target that must reach the `least` shares; empty: nothing does."""
-    if evidence.contained < least.contained:
-        return f"{1 - evidence.contained:.0%} of the connected returns lie outside its outline"
-    if evidence.covered < least.covered:
-        return f"only {evidence.covered:.0%} of the rays that should meet it return from its plane"
-    if evidence.edged < least.edged:
-        return f"only {evidence.edged:.0%} of the ends of its rings lie on its outline"
-    if evidence.solid < least.solid:
-        return f"{1 - evidence.solid:.0%} of the returns inside its outline come from behind it"
-    if evidence.free < least.free:
-        return f"{1 - evidence.free:.0%} of the rays beside it return from its plane or from before it"
-    if evidence.stepped < least.stepped:
-        return not_stepped(evidence.stepped)
-    return ""
+def objections(evidence: Evidence, least: Evidence) -> list[str]:
+    """Say what speaks against a target that must reach the `least` shares, the largest shortfall first."""
+    reasons = {
+        "contained": f"{1 - evidence.contained:.0%} of the connected returns lie outside its outline",
+        "covered": f"only {evidence.covered:.0%} of the rays that should meet it return from its plane",
+        "edged": f"only {evidence.edged:.0%} of the ends of its rings lie on its outline",
+        "solid": f"{1 - evidence.solid:.0%} of the returns inside its outline come from behind it",
+        "free": f"{1 - evidence.free:.0%} of the rays beside it return from its plane or from before it",
+        "stepped": not_stepped(evidence.stepped),
+        "apart": f"at one side {1 - evidence.apart:.0%} of the rays just beyond meet something that begins there",
+        "seen": f"only {evidence.seen:.0%} of its outline is within the field of view",
+        "distinct": "surfaces of other shapes look like it",
+    }
+    reached = {
+        field.name: getattr(evidence, field.name) / (getattr(least, field.name) or 1e-9) for field in fields(least)
+    }
+    return [reasons[name] for name in sorted(reasons, key=lambda name: reached[name]) if reached[name] < 1.0]
 
 
 def not_stepped(share: float) -> str:
@@ -119,43 +127,112 @@ def not_stepped(share: float) -> str:
     return f"only at {share:.0%} of the ends of its rings does the range jump back"
 
 
-def _edged(scan: OrderedScan, estimate: PoseEstimate) -> float:
-    """Share of ring ends that lie where the outline's are expected: within two standard deviations.
+@dataclass(frozen=True, eq=False, repr=False)
+class _Ends(Value):
+    """Where the ends of rings lie about a target's outline, those that something hides left out.
 
-    A ring's last return lies up to a step inside the outline, uniformly; how much of a beam must hit shifts all of
-    them by up to half a beam, the one that suits them best, and each by as much again.
+    Attributes:
+        off: (S, M) distance of the boundary that each end stands for from the outline, metres, for common shifts.
+        sd: (M,) its standard deviation, metres.
     """
-    target, edges, T = estimate.target, estimate.edge_points, estimate.T_target_lidar
-    yz = apply(T, edges.points)[:, 1:]
-    outward = (edges.outward(estimate.plane[:3]) @ T[:3, :3].T)[:, 1:]
-    distance = np.linalg.norm(edges.points, axis=1)
-    last_hit = target.outside_distance(yz)
-    first_miss = target.outside_distance(yz + edges.azimuth_step * outward)
-    boundary = 0.5 * (last_hit + first_miss)
-    beam, floor = scan.resolution.beam, scan.resolution.range_noise
-    most = beam + floor / distance.mean()
-    shifts = np.linspace(-most, most, 11)[:, None] * distance
-    variance = (first_miss - last_hit) ** 2 / 12 + (beam * distance) ** 2 / 3 + (0.5 * floor) ** 2
-    return float(((boundary - shifts) ** 2 < 4.0 * variance).mean(axis=1).max())
+
+    off: Floats
+    sd: Floats
+
+    @classmethod
+    def of(cls, scan: OrderedScan, own: Ints, hidden: Bools, estimate: PoseEstimate) -> _Ends:
+        """Look at the ends of the rings on a target's returns, `own` (N,); `hidden` (2 M,) says which to leave out.
+
+        A ring's last return lies up to a step inside the outline, uniformly. How much of a beam must hit shifts all of
+        them by up to half a beam, and each by as much again; a bright target blooms, and seems larger.
+        """
+        target, T = estimate.target, estimate.T_target_lidar
+        points, normal = scan.points[ring_ends(scan, own)], estimate.plane[:3]
+        onward = np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
+        outward = np.repeat([-1.0, 1.0], len(points) // 2)[:, None] * onward
+        outward -= points * ((outward @ normal) / (points @ normal))[:, None]
+        yz, step = (points @ T[:3, :3].T + T[:3, 3])[:, 1:], scan.resolution.step * (outward @ T[:3, :3].T)[:, 1:]
+        last_hit, first_miss = target.outside_distance(yz), target.outside_distance(yz + step)
+        beam, floor = scan.resolution.beam * np.linalg.norm(points, axis=1), scan.resolution.range_noise
+        most = float(beam.mean()) + floor
+        shifts = np.arange(-most, most + scan.options.blooming, 0.2 * most)[:, None]
+        variance = (first_miss - last_hit) ** 2 / 12 + beam**2 / 3 + (0.5 * floor) ** 2
+        return cls((0.5 * (last_hit + first_miss) - shifts)[:, ~hidden], np.sqrt(variance)[~hidden])
+
+    @property
+    def edged(self) -> float:
+        """Share within two standard deviations of the outline, for the shift that suits them best."""
+        return float((np.abs(self.off) < 2.0 * self.sd).mean(axis=1).max()) if len(self.sd) else 0.0
+
+    def distinct(self, size: float) -> float:
+        """Probability that this is not one of as many surfaces of about a size, metres, and any shape.
+
+        Each end of such a surface lies anywhere within a fifth of the size. Pose and shift are fitted, so four ends
+        say nothing.
+        """
+        if not len(self.sd):
+            return 0.0
+        reach = 0.2 * size
+        fits = np.exp(-0.5 * (self.off / self.sd) ** 2) / (np.sqrt(2 * np.pi) * self.sd)
+        gain = np.log((1.0 - _STRAYS) * fits * reach + _STRAYS).sum(axis=1).max()
+        fitted = 2.0 * np.log(reach**2 / 12.0 / np.mean(self.sd**2) * max(len(self.sd) / 4.0, 1.0))
+        return float(1.0 / (1.0 + np.exp(min(fitted - gain, 700.0))))
 
 
-def _rays_near(scan: OrderedScan, estimate: PoseEstimate, radius: float) -> tuple[Ints, Floats, Floats]:
-    """Rays that pass within `radius` of a target's origin in its plane.
+def _apart(scan: OrderedScan, estimate: PoseEstimate, rays: Rays, fired: Floats, band: float) -> float:
+    """Share of the rays just beyond a side that do not return from something that begins there, at the worst side.
 
-    Returns:
-        Rows of the ordered scan (N,), where their rays meet the plane (N, 2), target frame, and how far behind the
-        plane they returned (N,), metres across it, negative in front.
+    A surface through the side, like the next face of a box, is met by a ray that misses the side by q within
+    q / cos(incidence) of it. What stands behind a target is further away. In front of a target the floor may be seen
+    at a more grazing angle, and little else can be, so a wider strip is looked at there.
     """
-    T = estimate.T_lidar_target
-    centre, normal = T[:3, 3], T[:3, 0]
-    away = float(np.linalg.norm(centre))
-    cosine = np.sqrt(max(1.0 - (radius / away) ** 2, 0.0))
-    near = np.flatnonzero(scan.points @ centre >= cosine * away * scan.range)
-    points = scan.points[near]
-    along = points @ normal
-    ahead = along > 1e-3 * scan.range[near]
-    near, points, along = near[ahead], points[ahead], along[ahead]
-    distance = float(normal @ centre)
-    yz = ((points * (distance / along)[:, None] - centre) @ T[:3, :3])[:, 1:]
-    close = (yz**2).sum(axis=1) < radius**2
-    return near[close], yz[close], (along - distance)[close]
+    options, target, sensor = scan.options, estimate.target, estimate.T_target_lidar[:3, 3]
+    start = target.polygon
+    along = np.roll(start, -1, axis=0) - start
+    length = np.linalg.norm(along, axis=1)
+    density = max(float(target.contains(fired).sum()), 1.0) / target.area
+
+    def passed(crossing: Floats) -> tuple[Ints, Floats]:
+        """Side (N,) that each ray passes, and by how much, metres."""
+        outside = crossing @ target.normals.T - target.offsets
+        side = outside.argmax(axis=1)
+        return side, outside[np.arange(len(side)), side]
+
+    side, outside = passed(rays.crossing)
+    fired_side, fired_outside = passed(fired)
+    # Distances across the side's line: of the return, and of the ray.
+    of_return = np.hypot(rays.points[:, 0], ((rays.points[:, 1:] - start[side]) * target.normals[side]).sum(axis=1))
+    line = np.column_stack([np.zeros(len(start)), along / length[:, None]])[side]
+    normal = np.cross(rays.points - sensor, line)
+    to_line = np.column_stack([np.zeros(len(start)), start])[side] - sensor
+    of_ray = np.abs((normal * to_line).sum(axis=1)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
+    slack = options.band_sigmas * scan.resolution.range_noise
+
+    def attached(reach: Floats, angle: float, off_plane: Bools) -> float:
+        """Share of the rays within `reach` (n,) beyond a side, that begin at it, at the worst side."""
+        near = (outside > 0) & (outside < reach[side])
+        begins = near & off_plane & (of_return <= of_ray / np.cos(angle) + slack)
+        on = near & (np.abs(rays.points[:, 0]) <= band)
+        beyond = (fired_outside > 0) & (fired_outside < reach[fired_side])
+        of_side = [np.bincount(which, minlength=len(start)) for which in (fired_side[beyond], side[on], side[begins])]
+        expected = of_side[0] - of_side[1]
+        told = expected >= options.fewest_returns
+        return float((of_side[2][told] / expected[told]).max(initial=0.0))
+
+    strip = np.maximum(options.side_strip, 2.0 * options.fewest_returns / (density * length))
+    rim = np.maximum(strip, options.rim * target.offsets.min())
+    behind = attached(strip, options.steepest, rays.points[:, 0] > band)
+    before = attached(rim, options.grazing, rays.points[:, 0] < -band)
+    return max(1.0 - max(behind, before), 0.0)
+
+
+def _seen(scan: OrderedScan, estimate: PoseEstimate) -> float:
+    """Share of the outline that is within the sensor's field of view."""
+    corner = estimate.vertices
+    part = np.linspace(0.0, 1.0, 20, endpoint=False)[:, None, None]
+    outline = (corner + part * (np.roll(corner, -1, axis=0) - corner)).reshape(-1, 3)
+    weight = np.tile(np.linalg.norm(np.roll(corner, -1, axis=0) - corner, axis=1), len(part))
+    elevation = np.arctan2(outline[:, 2], np.hypot(outline[:, 0], outline[:, 1]))
+    heights = 0.5 * scan.ring_heights
+    lowest, highest = scan.elevations[0] - heights[0], scan.elevations[-1] + heights[-1]
+    return float(weight @ ((elevation > lowest) & (elevation < highest)) / weight.sum())

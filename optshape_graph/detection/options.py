@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from optshape_graph.detection.results import Evidence
+from optshape_graph.pose import PoseOptions
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,8 @@ class DetectionOptions:
             is not of that plane. Test: test_detect.py, hung before a wall.
         band_sigmas: standard deviations of a return about its plane. A return further off the plane is not the
             target's. 2.5 keep 98.8 %. Test: test_detect.py, found with its returns.
-        flatness: metres, standard deviation. How far a target departs from a plane, and the estimate of the plane from
-            it. Test: test_recordings.py, its returns.
+        warp: metres, standard deviation. How far the surface of a target departs from the plane through its returns:
+            boards bend. Test: test_recordings.py, its returns.
         fewest_rings: rings on a target. The ends of three rings say little more than its size.
             Test: test_candidates.py, three rings.
         size_seen: share of a target's area, and of its spread, that must be covered in full view.
@@ -58,6 +59,7 @@ class DetectionOptions:
             plane.
         rounds: the returns are chosen again, by the pose that they gave, at most this often. The recorded boards come
             to rest in two. Test: test_detect.py, an arm in its plane.
+        pose: settings of the pose estimator, which judges each candidate.
     """
 
     longest_gap: float = 4.5
@@ -68,7 +70,7 @@ class DetectionOptions:
     tilt_window: float = float(np.radians(20.0))
     patch_sigmas: float = 3.0
     band_sigmas: float = 2.5
-    flatness: float = 0.005
+    warp: float = 0.005
     fewest_rings: int = 4
     size_seen: float = 0.8
     size_seen_hidden: float = 0.6
@@ -77,9 +79,25 @@ class DetectionOptions:
     thickest_limb: float = 0.12
     limb_slack: float = 3.0
     least_evidence: Evidence = field(
-        default=Evidence(contained=0.8, covered=0.6, edged=0.75, solid=0.9, free=0.75, stepped=0.75)
+        default=Evidence(
+            contained=0.8,
+            covered=0.6,
+            edged=0.75,
+            solid=0.9,
+            free=0.75,
+            stepped=0.75,
+            apart=0.5,
+            seen=0.3,
+            distinct=0.0,
+        )
     )
     rim: float = 0.4
+    side_strip: float = 0.05
+    grazing: float = float(np.radians(85.0))
+    blooming: float = 0.025
+    certain_distinct: float = 0.999
+    certain_seen: float = 0.7
     pierced_rays: int = 6
     pierced_share: float = 3.0
     rounds: int = 3
+    pose: PoseOptions = field(default_factory=PoseOptions)

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints, frozen
+from optshape_graph._arrays import Bools, Floats, Ints, Value, frozen, shortened
+from optshape_graph.factors import TemplateMeasurement
+from optshape_graph.io.records import to_record
+from optshape_graph.io.results import RECORD, Result, Row, one_scan
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class Evidence:
+@dataclass(frozen=True, eq=False, repr=False)
+class Evidence(Value):
     """What speaks for a target at a pose: shares of rays, each 1 for a target that hangs free and is seen whole.
 
     Attributes:
@@ -25,6 +30,10 @@ class Evidence:
             below a box on the floor, none do.
         stepped: of the ends of its rings, those where the range jumps back, or nothing returns: where a surface
             bends away, or something stands before it, there is no edge to be seen.
+        apart: of the rays just beyond the side where it is least, those that do not return from something that begins
+            at that side: the next face of a box, the floor.
+        seen: of its outline, what is within the field of view.
+        distinct: probability that it is not one of as many surfaces of other shapes: the ends of few rings fit any.
     """
 
     contained: float
@@ -33,15 +42,18 @@ class Evidence:
     solid: float
     free: float
     stepped: float
+    apart: float
+    seen: float
+    distinct: float
 
     @property
     def score(self) -> float:
         """Product of the shares."""
-        return self.contained * self.covered * self.edged * self.solid * self.free * self.stepped
+        return float(np.prod([getattr(self, field.name) for field in fields(self)]))
 
 
-@dataclass(frozen=True, eq=False)
-class Detection:
+@dataclass(frozen=True, eq=False, repr=False)
+class Detection(Value):
     """A target found in a scan.
 
     Attributes:
@@ -55,8 +67,8 @@ class Detection:
         margin: difference of log likelihoods to the rival; infinite where there is none.
         probabilities: by name, of each of the targets asked for that fits, had all been as likely before; the likeliest
             first. They sum to 1: that it is one of them is what `evidence` is for.
-        status: "ok"; "ambiguous" where another of the targets, or another pose of this one, is not ruled out; "failed"
-            where the target is there, but its returns leave its pose undetermined.
+        status: "ok"; "ambiguous" where another of the targets, another pose of this one, or a surface of another shape
+            is not ruled out; "failed" where the target is there, but its returns leave its pose undetermined.
         reason: why not "ok", else empty.
     """
 
@@ -80,13 +92,43 @@ class Detection:
         """How well it fits, 0 to 1: `Evidence.score`."""
         return self.evidence.score
 
+    @property
+    def measurement(self) -> TemplateMeasurement:
+        """The estimate's, of T_target_lidar: what factors are made of."""
+        return self.estimate.measurement
 
-@dataclass(frozen=True, eq=False)
-class Rejection:
+    def __repr__(self) -> str:
+        x, y, z = self.estimate.T_lidar_target[:3, 3]
+        said = f"at ({x:.3f}, {y:.3f}, {z:.3f}) m, score {self.score:.2f}, {len(self.indices)} returns"
+        return shortened(f"Detection({self.target.name!r} {self.status}: {said})")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the JSON form says of this target, as plain data."""
+        estimate = self.estimate
+        return {
+            "target": self.target.name,
+            "T_lidar_target": estimate.T_lidar_target.tolist(),
+            "covariance": estimate.covariance.tolist(),
+            "equivalent_poses": estimate.equivalent_poses.tolist(),
+            "return_indices": self.indices[~self.doubtful].tolist(),
+            "doubtful_indices": self.indices[self.doubtful].tolist(),
+            "score": self.score,
+            "status": self.status,
+            "reason": self.reason,
+            "rival": self.rival.name if self.rival else None,
+            "margin": self.margin if self.rival else None,
+            "probabilities": dict(self.probabilities),
+            "evidence": asdict(self.evidence),
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rejection(Value):
     """A surface that was looked at and is none of the targets.
 
     Attributes:
         reason: what speaks against it, with numbers.
+        passed: how many of the tests it passed: of its size, its rings, how they end, its pose, and its evidence.
         target: name of the target that it was compared with; empty: with all.
         centre: (3,) metres, LiDAR frame.
         n_returns: its returns.
@@ -95,6 +137,7 @@ class Rejection:
     """
 
     reason: str
+    passed: int
     target: str
     centre: Floats
     n_returns: int
@@ -104,15 +147,66 @@ class Rejection:
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", frozen(self.centre))
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the JSON form says of this surface, as plain data."""
+        return {
+            "reason": self.reason,
+            "target": self.target or None,
+            "centre": self.centre.tolist(),
+            "returns": self.n_returns,
+            "rings": self.n_rings,
+            "area_m2": self.area,
+        }
 
-@dataclass(frozen=True)
-class Detections:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Detections(Result):
     """What was found in one scan.
 
     Attributes:
         found: targets, the best score first; empty: none.
-        rejected: surfaces of about a target's size that are none.
+        rejected: surfaces of about a target's size that are none, the one that passed the most tests first.
+        scan: name of the scan.
     """
+
+    FORM: ClassVar[str] = "detect"
 
     found: tuple[Detection, ...]
     rejected: tuple[Rejection, ...]
+    scan: str = ""
+
+    def __repr__(self) -> str:
+        named = ", ".join(f"{one.target.name} {one.status}" for one in self.found) or "none"
+        return shortened(f"Detections({len(self.found)} found: {named}; {len(self.rejected)} rejected)")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the JSON form says of this scan, as plain data."""
+        return {
+            "scan": self.scan or "scan",
+            "targets": [one.to_dict() for one in self.found],
+            "rejected": [one.to_dict() for one in self.rejected],
+        }
+
+    def rows(self) -> list[Row]:
+        """Return a row for each target found."""
+        return [
+            {**one.estimate.rows()[0], "scan": self.scan, "status": one.status, "margin": one.margin,
+             "returns": len(one.indices), "score": one.score}
+            for one in self.found
+        ]  # fmt: skip
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read detections that `save` wrote: equal to what was saved.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            InputError: another file, one of several scans, or one without a record.
+        """
+        loaded: Self = one_scan(path, cls.FORM, cls)
+        return loaded
+
+    def _document(self) -> dict[str, Any]:
+        return {"schema": f"optshape/{self.FORM}/1", "scans": [{**self.to_dict(), RECORD: to_record(self)}]}

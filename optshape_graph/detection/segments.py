@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.edges import azimuth_spacing
-from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.scan import Scan
+from optshape_graph.errors import EstimationError
+from optshape_graph.scan import Scan, rings_missing
 from optshape_graph.sensor import SensorModel
 
 _TURNS = (-2 * np.pi, 0.0, 2 * np.pi)  # an azimuth near the seam of the circle may be off by one of these, rad
@@ -34,8 +34,8 @@ class Resolution:
     beam: float
 
 
-@dataclass(frozen=True, eq=False)
-class OrderedScan:
+@dataclass(frozen=True, eq=False, repr=False)
+class OrderedScan(Value):
     """A scan's returns sorted by ring and azimuth, and cut into segments.
 
     Attributes:
@@ -93,26 +93,34 @@ class OrderedScan:
             centre: (3,) a point of the plane, metres.
         """
         cos_incidence = float(plane_normal @ centre / np.linalg.norm(centre))
-        return self.options.band_sigmas * float(
-            np.hypot(self.resolution.off_plane * cos_incidence, self.options.flatness)
-        )
+        return self.options.band_sigmas * float(np.hypot(self.resolution.off_plane * cos_incidence, self.options.warp))
 
     def near(self, centre: Floats, reach: float) -> Ints:
-        """Return the rows of the returns within `reach` of a point (3,), metres, ascending.
+        """Return the rows of the returns within `reach` of a point (3,), metres, ascending."""
+        rows = self._window(centre, reach)
+        return np.asarray(rows[((self.points[rows] - centre) ** 2).sum(axis=1) < reach**2])
 
-        Each ring is searched only where the point can be reached.
-        """
+    def toward(self, centre: Floats, reach: float) -> Ints:
+        """Return the rows of the returns whose rays pass within `reach` of a point (3,), metres, ascending."""
+        rows, away = self._window(centre, reach), float(np.linalg.norm(centre))
+        if reach >= away:
+            return rows
+        cosine = np.sqrt(1.0 - (reach / away) ** 2)
+        return np.asarray(rows[self.points[rows] @ centre >= cosine * away * self.range[rows]])
+
+    def _window(self, centre: Floats, reach: float) -> Ints:
+        """Rows of the returns whose azimuths are those of the points within `reach` of a point, ring by ring."""
         away = float(np.hypot(centre[0], centre[1]))
         rows = np.arange(len(self))
-        if reach < away:
-            middle, half = np.arctan2(centre[1], centre[0]), np.arcsin(reach / away) + 1e-9
-            windows = [np.clip([middle - half + turn, middle + half + turn], -np.pi, np.pi) for turn in _TURNS]
-            ends = np.array([window for window in windows if window[0] < window[1]])
-            places = _position(np.arange(len(self.elevations))[:, None, None], ends)
-            first = np.searchsorted(self._positions, places[..., 0].ravel(), "left")
-            last = np.searchsorted(self._positions, places[..., 1].ravel(), "right")
-            rows = np.concatenate([rows[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)])
-        return np.asarray(rows[((self.points[rows] - centre) ** 2).sum(axis=1) < reach**2])
+        if reach >= away:
+            return rows
+        middle, half = np.arctan2(centre[1], centre[0]), np.arcsin(reach / away) + 1e-9
+        windows = [np.clip([middle - half + turn, middle + half + turn], -np.pi, np.pi) for turn in _TURNS]
+        ends = np.array([window for window in windows if window[0] < window[1]])
+        places = _position(np.arange(len(self.elevations))[:, None, None], ends)
+        first = np.searchsorted(self._positions, places[..., 0].ravel(), "left")
+        last = np.searchsorted(self._positions, places[..., 1].ravel(), "right")
+        return np.concatenate([rows[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)])
 
 
 def order_scan(scan: Scan, options: DetectionOptions) -> OrderedScan:
@@ -126,9 +134,7 @@ def order_scan(scan: Scan, options: DetectionOptions) -> OrderedScan:
         EstimationError: fewer than two rings, or no azimuth step stated and none to be seen.
     """
     if scan.ring is None:
-        raise InputError(
-            f"{scan.name}: targets are found ring by ring; expected a ring per return (or a sensor whose table says)"
-        )
+        raise rings_missing(scan)
     if len(scan) == 0 or scan.ring.min() == scan.ring.max():
         raise EstimationError(f"{scan.name}: returns on {min(len(scan), 1)} rings; a target needs several")
     azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
@@ -193,8 +199,8 @@ def _starts(ring: Ints, azimuth: Floats, ranges: Floats, resolution: Resolution,
     return np.asarray(apart | (off_line > options.jump_sigmas))
 
 
-@dataclass(frozen=True, eq=False)
-class Runs:
+@dataclass(frozen=True, eq=False, repr=False)
+class Runs(Value):
     """Returns of one surface, cut into runs along their rings.
 
     Attributes:
@@ -236,8 +242,8 @@ def ring_ends(scan: OrderedScan, rows: Ints) -> Ints:
     return np.asarray(runs.rows[np.concatenate([first, last])])
 
 
-@dataclass(frozen=True, eq=False)
-class Borders:
+@dataclass(frozen=True, eq=False, repr=False)
+class Borders(Value):
     """How the rings on a surface end, at both ends of each. Where neither holds, the surface bends away.
 
     Attributes:

@@ -5,12 +5,13 @@ from optshape_graph.evaluation.harness import run_tasks
 from optshape_graph.evaluation.metrics import NormalisedError, PoseError, normalised_error, pose_error
 from optshape_graph.evaluation.mocap import evaluate_mocap, find_sessions
 from optshape_graph.evaluation.simulation import SimulationSweep, run_simulation
-from optshape_graph.evaluation.tables import beside_published, by_group, summarise, write_csv, write_parquet
+from optshape_graph.evaluation.tables import Table, beside_published, by_group, summarise, write_csv, write_parquet
 
 __all__ = [
     "NormalisedError",
     "PoseError",
     "SimulationSweep",
+    "Table",
     "beside_published",
     "by_group",
     "consistency",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.se3 import angle, apply, inverse, inverse_covariance, log, skew
 from optshape_graph.target import Target
 
@@ -58,8 +58,8 @@ def quantisation_error(azimuth_step: float, distance: float) -> float:
     return azimuth_step * distance
 
 
-@dataclass(frozen=True, eq=False)
-class NormalisedError:
+@dataclass(frozen=True, eq=False, repr=False)
+class NormalisedError(Value):
     """A pose error in the target's tangent space, against its covariance.
 
     Attributes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,13 +11,16 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.mocap.comparison import MocapScan, ScanError, in_sample, leave_one_out
-from optshape_graph.calibration.mocap.session import LeftOut, load_mocap_scans
+from optshape_graph.calibration.mocap.result import LeftOut
+from optshape_graph.calibration.mocap.session import load_mocap_scans
 from optshape_graph.errors import InputError
 from optshape_graph.evaluation.harness import Progress, Row
 from optshape_graph.evaluation.metrics import quantisation_error
 from optshape_graph.evaluation.published import TABLE_2, PublishedRow
 from optshape_graph.io.documents import read_json
 from optshape_graph.io.sessions import Session, load_session
+
+_LOG = logging.getLogger(__name__)
 
 ERRORS = ("rmse_m", "e_t_m", "e_r_deg")
 
@@ -92,7 +96,9 @@ def evaluate_mocap(
             if progress is not None:
                 progress(before + scans, total)
 
-        scans, missing = load_mocap_scans(session, advance)
+        scans, missing, checked = load_mocap_scans(session, progress=advance)
+        for finding in checked.findings:
+            _LOG.warning("%s: %s", name, finding.text)
         done += len(session.views)
         left_out += [LeftOut(f"{name}/{item.scan}", item.reason) for item in missing]
         if len(scans) < 2:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import spearmanr
 
 import optshape_graph
-from optshape_graph._arrays import Bools, Floats
+from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.design.bound import covariance_bound
 from optshape_graph.design.family import Family
 from optshape_graph.design.judgement import DEGREE, worst_cell
@@ -31,8 +31,8 @@ TILT = np.radians(30.0)
 """Largest incidence of the simulated targets."""
 
 
-@dataclass(frozen=True, eq=False)
-class ShapeTrials:
+@dataclass(frozen=True, eq=False, repr=False)
+class ShapeTrials(Value):
     """One shape over all placements.
 
     Attributes:

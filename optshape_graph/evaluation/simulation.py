@@ -11,11 +11,12 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 import optshape_graph
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.design.bound import covariance_bound
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.evaluation.harness import Progress, Row, run_tasks
 from optshape_graph.evaluation.metrics import normalised_error, pose_error, quantisation_error, vertex_jacobian
+from optshape_graph.evaluation.tables import Table
 from optshape_graph.pose import estimate_pose
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
@@ -51,8 +52,8 @@ class Estimate(Protocol):
 Estimator = Callable[[Scan, Target, str], Estimate]
 
 
-@dataclass(frozen=True, eq=False)
-class SimulationSweep:
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulationSweep(Value):
     """What to simulate, and how to estimate it.
 
     Attributes:
@@ -134,8 +135,8 @@ class SimulationSweep:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class SweepTask:
+@dataclass(frozen=True, eq=False, repr=False)
+class SweepTask(Value):
     """Some draws of one cell.
 
     Attributes:
@@ -165,7 +166,7 @@ def run_simulation(
     dask: str | None = None,
     progress: Progress | None = None,
     estimator: Estimator | None = None,
-) -> list[Row]:
+) -> Table:
     """Run a sweep; one row per scan and method, in an order that depends on the sweep only.
 
     Args:
@@ -187,7 +188,7 @@ def run_simulation(
         for cell, (noise, orientation, distance) in enumerate(cells)
         for draws in _blocks(sweep.draws)
     ]
-    return run_tasks(run_task, tasks, folder, sweep.describe(), workers=workers, dask=dask, progress=progress)
+    return Table(run_tasks(run_task, tasks, folder, sweep.describe(), workers=workers, dask=dask, progress=progress))
 
 
 def estimate_pose_by_method(scan: Scan, target: Target, method: str) -> Estimate:

@@ -6,17 +6,74 @@ import csv
 import io
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from optshape_graph.errors import missing_extra
+from optshape_graph._arrays import shortened
+from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.evaluation.harness import Row
 from optshape_graph.evaluation.published import TABLE_1, PublishedRow
-from optshape_graph.io.files import write_atomically
+from optshape_graph.io.files import read_bytes, write_atomically
+from optshape_graph.io.results import dataframe, html_table, picture
+from optshape_graph.names import markup
+
+if TYPE_CHECKING:
+    import pandas
 
 ERRORS = ("rmse_m", "e_t_m", "e_r_deg")
 """Columns of errors that are summarised."""
+
+
+class Table(list[Row]):
+    """Rows of a sweep: a list of dictionaries that prints in a line, becomes a data frame, saves itself and loads."""
+
+    def __repr__(self) -> str:
+        return shortened(f"Table({len(self)} rows: {', '.join(_columns(self))})")
+
+    def _repr_html_(self) -> str:
+        return f"<p>{markup(repr(self))}</p>{html_table(self)}{picture(self)}"
+
+    def to_dict(self) -> dict[str, list[Any]]:
+        """Return the columns by name."""
+        return {name: [row.get(name) for row in self] for name in _columns(self)}
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the rows as a data frame.
+
+        Raises:
+            MissingExtraError: pandas is absent.
+        """
+        return dataframe(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write the rows as CSV, or as Parquet where the name ends in .parquet.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            InputError: the file cannot be written.
+            MissingExtraError: Parquet is asked for, and pyarrow is absent.
+        """
+        (write_parquet if Path(path).suffix == ".parquet" else write_csv)(path, self)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Table:
+        """Read the rows of a Parquet file, equal to what was saved: CSV does not tell numbers from text.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            InputError: no Parquet file.
+            MissingExtraError: pyarrow is absent.
+        """
+        pa, pq = _pyarrow()
+        try:
+            return cls(pq.read_table(pa.BufferReader(read_bytes(path))).to_pylist())
+        except pa.ArrowException as error:
+            raise InputError(f"{path}: not a Parquet file ({error})") from error
 
 
 def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
@@ -39,11 +96,7 @@ def write_parquet(path: str | Path, rows: Sequence[Row]) -> None:
         MissingExtraError: pyarrow is absent.
         InputError: the file cannot be written.
     """
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as cause:
-        raise missing_extra("pyarrow", "evaluate", cause) from cause
+    pa, pq = _pyarrow()
     table = pa.table({name: [row.get(name) for row in rows] for name in _columns(rows)})
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink)
@@ -112,6 +165,15 @@ def beside_published(cells: Iterable[Row], published: Sequence[PublishedRow] = T
                 row |= {f"{cell['method']}_{name}": cell[f"{name}_median"] for name in ERRORS}
         beside.append(row)
     return beside
+
+
+def _pyarrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as cause:
+        raise missing_extra("pyarrow", "evaluate", cause) from cause
+    return pa, pq
 
 
 def _columns(rows: Sequence[Row]) -> list[str]:

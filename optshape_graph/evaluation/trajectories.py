@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.errors import InputError
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping.map import Map
@@ -53,8 +53,8 @@ class ErrorStatistics:
         )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class AbsoluteError:
+@dataclass(frozen=True, eq=False, repr=False)
+class AbsoluteError(Value):
     """Errors of a trajectory as a whole.
 
     Attributes:
@@ -70,8 +70,8 @@ class AbsoluteError:
     distances: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class RelativeError:
+@dataclass(frozen=True, eq=False, repr=False)
+class RelativeError(Value):
     """Errors of the motion over a distance.
 
     Attributes:

@@ -29,7 +29,7 @@ In a larger graph `SummaryFactor` links T_world_target and T_world_lidar, `Verte
 """
 
 from optshape_graph.factors._callback import CheckedFactor
-from optshape_graph.factors.augmented import (
+from optshape_graph.factors.sensor_parameters import (
     AugmentedMeasurement,
     SensorParameterFactor,
     azimuth_directions,
@@ -37,7 +37,7 @@ from optshape_graph.factors.augmented import (
     plane_motion_rows,
     range_directions,
 )
-from optshape_graph.factors.measurement import TemplateMeasurement, edge_rows, plane_rows, refine, template_rows
+from optshape_graph.factors.measurement import Measured, TemplateMeasurement, edge_rows, plane_rows, refine, template_rows
 from optshape_graph.se3 import inverse_covariance
 from optshape_graph.factors.shape import (
     FreeVertexFactor,
@@ -71,6 +71,7 @@ __all__ = [
     "CheckedFactor",
     "FreeVertexFactor",
     "LandmarkFactor",
+    "Measured",
     "PointToEdgeFactor",
     "PointToPlaneFactor",
     "SensorParameterFactor",

@@ -44,6 +44,23 @@ def triangular(stack: Floats) -> Floats:
     return R if len(R) == n else np.vstack([R, np.zeros((n - len(R), n))])
 
 
+def root(covariance: ArrayLike) -> Floats:
+    """Return a square root S (n, n) of a covariance S S^T (n, n) matrix, which may be singular."""
+    values, vectors = np.linalg.eigh(np.asarray(covariance, float))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def marginalised(columns: Floats, stack: Floats) -> Floats:
+    """Return rows (n, n) over what stacked rows (m, n) are linear in, errors with their own columns marginalised.
+
+    Args:
+        columns: (m, k) whitened, in units of the errors' standard deviations.
+        stack: (m, n) whitened rows.
+    """
+    k = columns.shape[1]
+    return triangular(np.vstack([np.eye(k, k + stack.shape[1]), np.hstack([columns, stack])]))[k:, k:]
+
+
 def factored(stacks: Floats) -> Floats:
     """Return the factors R (..., min(m, n), n) of the QR decompositions of stacks (..., m, n)."""
     packed, _ = np.linalg.qr(stacks, mode="raw")  # transposed, with the reflections below the diagonal

@@ -13,13 +13,14 @@ so all whitened rows of a scan stack into [A | r], whose triangular factor [L b;
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.factors._rows import checked, in_plane, outer_rows, triangular
+from optshape_graph.factors._rows import checked, in_plane, marginalised, outer_rows, root, triangular
 from optshape_graph.se3 import PoseLike, as_matrix, as_transform, exp, inverse, vec, vec_derivative
 
 
@@ -88,8 +89,8 @@ def plane_rows(points: ArrayLike) -> tuple[Floats, Floats]:
     return A, np.zeros(len(p))
 
 
-@dataclass(frozen=True, eq=False)
-class TemplateMeasurement:
+@dataclass(frozen=True, eq=False, repr=False)
+class TemplateMeasurement(Value):
     """The cost 1/2 ||L z + b||^2 + 1/2 c^2 of one target in one scan, z = [vec R (column-major); t] of T_target_lidar.
 
     Plain data: it pickles, it does not grow with the number of points, and measurements of one placement whose
@@ -113,9 +114,8 @@ class TemplateMeasurement:
     T_target_lidar: Floats
 
     def __post_init__(self) -> None:
-        for field, shape in (("L", (12, 12)), ("b", (12,))):
-            object.__setattr__(self, field, frozen(checked(field, getattr(self, field), shape)))
-        object.__setattr__(self, "T_target_lidar", as_transform(self.T_target_lidar, "T_target_lidar"))
+        for field, shape in (("L", (12, 12)), ("b", (12,)), ("T_target_lidar", (4, 4))):
+            object.__setattr__(self, field, frozen(checked(field, as_matrix(getattr(self, field)), shape)))
         if not np.isfinite(self.c):
             raise InputError(f"measurement c is {self.c}; expected a finite number")
 
@@ -203,6 +203,18 @@ class TemplateMeasurement:
         M = substitution(A, B)
         return self.from_stack(self.stack @ M, self.n_rows, inverse(A) @ self.T_target_lidar @ inverse(B))
 
+    def loosened(self, covariance: ArrayLike) -> TemplateMeasurement:
+        """Return the measurement as one of T_target_lidar T, T being the identity but for an error of its own.
+
+        It is for a LiDAR whose motion since the returns is not exactly known.
+
+        Args:
+            covariance: (6, 6) of T's tangent vector, rotation first.
+        """
+        columns = np.zeros((13, 6))
+        columns[:12] = self.jacobian(self.T_target_lidar) @ root(covariance)
+        return self.from_stack(marginalised(columns, self.stack), self.n_rows, self.T_target_lidar)
+
     def residual(self, T_target_lidar: PoseLike) -> Floats:
         """Return L z + b (12,) at a pose (4, 4)."""
         return self.L @ vec(as_matrix(T_target_lidar)) + self.b
@@ -255,6 +267,33 @@ def refine(measurement: TemplateMeasurement, iterations: int = 20) -> Floats:
         if np.abs(step).max() < 1e-9 or damping > 1.0:
             break
     return np.asarray(T)
+
+
+class Measured(Protocol):
+    """What was made of a measurement, and carries it: an estimate, a detection."""
+
+    @property
+    def measurement(self) -> TemplateMeasurement:
+        """Of T_target_lidar."""
+
+
+def measurement_of(measured: TemplateMeasurement | Measured) -> TemplateMeasurement:
+    """Return the measurement that a factor is to be made of.
+
+    Args:
+        measured: the measurement, or an estimate that carries it.
+
+    Raises:
+        InputError: neither, or an estimate that failed.
+    """
+    if isinstance(measured, TemplateMeasurement):
+        return measured
+    found = getattr(measured, "measurement", None)
+    if not isinstance(found, TemplateMeasurement):
+        raise InputError(f"expected an estimate or a TemplateMeasurement, found a {type(measured).__name__}")
+    if getattr(measured, "status", "") == "failed":
+        raise InputError(f"no factor can be made of a failed estimate: {getattr(measured, 'reason', '')}")
+    return found
 
 
 def substitution(T_target_a: PoseLike, T_b_lidar: PoseLike | None = None) -> Floats:

@@ -18,10 +18,10 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._callback import CheckedFactor, relative_pose
-from optshape_graph.factors._rows import checked, triangular
+from optshape_graph.factors._rows import checked, marginalised, root, triangular
 from optshape_graph.factors.measurement import TemplateMeasurement
 from optshape_graph.se3 import PoseLike, as_matrix, as_transform, skew
 
@@ -49,8 +49,8 @@ def shape_rows(points: ArrayLike, edges: ArrayLike, n_edges: int) -> Floats:
     return rows.reshape(len(p), -1)
 
 
-@dataclass(frozen=True, eq=False)
-class ShapeMeasurement:
+@dataclass(frozen=True, eq=False, repr=False)
+class ShapeMeasurement(Value):
     """The cost 1/2 ||U g||^2 of one target of unknown shape in one scan, g the planes H^T pi_k stacked.
 
     Attributes:
@@ -82,6 +82,16 @@ class ShapeMeasurement:
         stack = np.asarray(rows, float)
         checked("shape rows", stack, (-1, stack.shape[-1]))
         return cls(triangular(stack), len(stack), as_matrix(T_target_lidar))
+
+    def loosened(self, covariance: ArrayLike, vertices: ArrayLike) -> ShapeMeasurement:
+        """Return the measurement with an error of its own behind T_target_lidar; see `TemplateMeasurement`.
+
+        Args:
+            covariance: (6, 6) of the error's tangent vector, rotation first.
+            vertices: (n, 3) about which the target's are, metres, target frame.
+        """
+        by_pose, _ = self.jacobians(self.T_target_lidar, vertices)
+        return ShapeMeasurement(marginalised(by_pose @ root(covariance), self.U), self.n_rows, self.T_target_lidar)
 
     @property
     def n_edges(self) -> int:

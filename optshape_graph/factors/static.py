@@ -23,11 +23,11 @@ from operator import add
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.factors._rows import checked, triangular
+from optshape_graph.factors._rows import checked, marginalised, root, triangular
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
-from optshape_graph.se3 import inverse
+from optshape_graph.se3 import inverse, vec_derivative
 
 
 def ring_bias_columns(
@@ -86,8 +86,8 @@ class SharedError:
         return self.kind
 
 
-@dataclass(frozen=True, eq=False)
-class BiasedMeasurement:
+@dataclass(frozen=True, eq=False, repr=False)
+class BiasedMeasurement(Value):
     """The cost 1/2 ||S [beta; z; 1]||^2 of a target, beta being the errors that every scan of the scene shares.
 
     Scans of one static scene by one sensor add up (`+`) before `marginal` removes beta: equal errors are the same
@@ -186,6 +186,17 @@ class BiasedMeasurement:
         ordered = self.stack[:, [*gone, *kept, *range(k, k + 13)]]
         R = triangular(np.vstack([np.eye(g, k + 13), ordered]))
         return BiasedMeasurement(R[g:, g:], self.n_rows, self.T_target_lidar, tuple(self.shared[i] for i in kept))
+
+    def loosened(self, covariance: ArrayLike) -> BiasedMeasurement:
+        """Return the measurement of T_target_lidar with an error of its own behind it; see `TemplateMeasurement`.
+
+        Args:
+            covariance: (6, 6) of the error's tangent vector, rotation first.
+        """
+        moved = self.stack[:, len(self.shared) : -1] @ vec_derivative(self.T_target_lidar)
+        columns = moved @ root(covariance)
+        stack = marginalised(columns, self.stack)
+        return BiasedMeasurement(stack, self.n_rows, self.T_target_lidar, self.shared)
 
     def substituted(self, T_target_a: ArrayLike, T_b_lidar: ArrayLike | None = None) -> BiasedMeasurement:
         """Return the measurement as one of T_a_b; see `TemplateMeasurement.substituted`."""

@@ -17,9 +17,9 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.factors._rows import factored, gaussian
-from optshape_graph.factors.measurement import TemplateMeasurement
+from optshape_graph.factors.measurement import Measured, TemplateMeasurement, measurement_of
 from optshape_graph.se3 import PoseLike, adjoint, as_matrix, inverse, vec, vec_derivative
 
 RANK_TOLERANCE = 1e-9
@@ -72,8 +72,8 @@ class Summary:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Linearised:
+@dataclass(frozen=True, eq=False, repr=False)
+class Linearised(Value):
     """Gauss-Newton models 1/2 ||R xi + d||^2 + floor of m measurements, xi the right perturbation of T_target_lidar.
 
     Attributes:
@@ -139,7 +139,7 @@ def summarise(measurements: Sequence[TemplateMeasurement], T_target_lidar: Array
 
 
 def SummaryFactor(
-    measurement: TemplateMeasurement,
+    measurement: TemplateMeasurement | Measured,
     k_target: int,
     k_lidar: int,
     T_target_lidar: PoseLike | None = None,
@@ -148,17 +148,20 @@ def SummaryFactor(
     """Return the compiled, serialisable factor between T_world_target and T_world_lidar.
 
     Args:
-        measurement: of T_target_lidar = T_world_target^-1 T_world_lidar.
+        measurement: of T_target_lidar = T_world_target^-1 T_world_lidar, or an estimate.
         k_target: key of T_world_target.
         k_lidar: key of T_world_lidar.
         T_target_lidar: (4, 4) pose to summarise at; None: where the measurement was taken.
         loss: robust loss on the distance from the measured pose (6 degrees of freedom); None: least squares.
+
+    Raises:
+        InputError: neither a measurement nor an estimate, or an estimate that failed.
     """
     return _summary(measurement, T_target_lidar).factor(k_target, k_lidar, loss)
 
 
 def LandmarkFactor(
-    measurement: TemplateMeasurement,
+    measurement: TemplateMeasurement | Measured,
     k_target: int,
     T_world_lidar: PoseLike,
     T_target_lidar: PoseLike | None = None,
@@ -167,18 +170,21 @@ def LandmarkFactor(
     """Return the compiled, serialisable factor on T_world_target alone, the LiDAR pose being known.
 
     Args:
-        measurement: of T_target_lidar.
+        measurement: of T_target_lidar, or an estimate.
         k_target: key of T_world_target.
         T_world_lidar: (4, 4) known LiDAR pose.
         T_target_lidar: (4, 4) pose to summarise at; None: where the measurement was taken.
         loss: robust loss on the distance from the measured pose; None: least squares.
+
+    Raises:
+        InputError: neither a measurement nor an estimate, or an estimate that failed.
     """
     return _summary(measurement, T_target_lidar).landmark_factor(k_target, T_world_lidar, loss)
 
 
-def _summary(measurement: TemplateMeasurement, T_target_lidar: PoseLike | None) -> Summary:
+def _summary(measurement: TemplateMeasurement | Measured, T_target_lidar: PoseLike | None) -> Summary:
     at = None if T_target_lidar is None else as_matrix(T_target_lidar)[None]
-    return summarise([measurement], at)[0]
+    return summarise([measurement_of(measurement)], at)[0]
 
 
 def _gauss_newton(L: Floats, b: Floats, H: Floats) -> tuple[Floats, Floats, Floats]:

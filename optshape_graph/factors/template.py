@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats
 from optshape_graph.factors._callback import CheckedFactor, relative_pose
 from optshape_graph.factors._rows import checked, gaussian
-from optshape_graph.factors.measurement import TemplateMeasurement
+from optshape_graph.factors.measurement import Measured, TemplateMeasurement, measurement_of
 from optshape_graph.se3 import PoseLike, vec, vec_derivative
 
 # Where z and the constant 1 sit in vec of the 4 x 4 matrix, column-major.
@@ -25,7 +25,7 @@ and at this one a metre adds 5e-9 to the cost."""
 
 
 def TemplateFactor(
-    measurement: TemplateMeasurement,
+    measurement: TemplateMeasurement | Measured,
     key: int,
     T_target_a: PoseLike | None = None,
     T_b_lidar: PoseLike | None = None,
@@ -36,13 +36,17 @@ def TemplateFactor(
     which is 1, carries the constants: S [z; 1] = [L z + b; c], so the factor's error is the measurement's own.
 
     Args:
-        measurement: of T_target_lidar.
+        measurement: of T_target_lidar, or an estimate.
         key: of the pose T_a_b with T_target_lidar = T_target_a T_a_b T_b_lidar; of T_target_lidar itself when
             neither transform is given. So a LiDAR pose facing a known target, T_world_lidar, takes
             T_target_a = T_target_world; an extrinsic takes what is on both of its sides.
         T_target_a: (4, 4) known transform on the left; None: the identity.
         T_b_lidar: (4, 4) known transform on the right; None: the identity.
+
+    Raises:
+        InputError: neither a measurement nor an estimate, or an estimate that failed.
     """
+    measurement = measurement_of(measurement)
     if T_target_a is not None or T_b_lidar is not None:
         measurement = measurement.substituted(np.eye(4) if T_target_a is None else T_target_a, T_b_lidar)
     S = np.zeros((16, 16))
@@ -52,20 +56,24 @@ def TemplateFactor(
     return gtsam.FrobeniusPriorPose3(key, np.zeros((4, 4)), gaussian(S))
 
 
-def TemplateCallbackFactor(measurement: TemplateMeasurement, *keys: int) -> gtsam.CustomFactor:
+def TemplateCallbackFactor(measurement: TemplateMeasurement | Measured, *keys: int) -> gtsam.CustomFactor:
     """Return the exact factor as a Python callback: the reference, and the exact factor between two poses.
 
     It costs a copy of all values in each evaluation by GTSAM's optimisers: `SummaryFactor` is what large graphs take.
 
     Args:
-        measurement: of T_target_lidar.
+        measurement: of T_target_lidar, or an estimate.
         keys: that of T_target_lidar, or those of T_world_target and T_world_lidar.
+
+    Raises:
+        InputError: neither a measurement nor an estimate, or an estimate that failed.
     """
+    exact = measurement_of(measurement)
 
     def evaluate(values: gtsam.Values) -> tuple[Floats, list[Floats]]:
         H, derivatives = relative_pose(values, keys)
-        residual = np.append(measurement.L @ vec(H) + measurement.b, measurement.c)
-        J = np.vstack([measurement.L @ vec_derivative(H), np.zeros(6)])
+        residual = np.append(exact.L @ vec(H) + exact.b, exact.c)
+        J = np.vstack([exact.L @ vec_derivative(H), np.zeros(6)])
         return residual, [J @ derivative for derivative in derivatives]
 
     return CheckedFactor(evaluate, 13, keys, [6] * len(keys))

@@ -17,7 +17,7 @@ import scipy.linalg
 import scipy.sparse as sparse
 from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError
 
 LOOSEST = 1e3
@@ -26,12 +26,15 @@ LOOSEST = 1e3
 DENSE_LIMIT = 600
 """Number of unknowns up to which all eigenvalues are taken, not only the smallest ones."""
 
-MOST_DIRECTIONS = 24
-"""How many unobservable directions a large graph is searched for."""
+FEW_DIRECTIONS, MOST_DIRECTIONS = 7, 24
+"""How many unobservable directions a large graph is searched for: at first, and if all of those are not observable."""
+
+VANISHING = 1e-14
+"""Information of the prior, in units of each unknown's own."""
 
 
-@dataclass(frozen=True, eq=False)
-class LinearSystem:
+@dataclass(frozen=True, eq=False, repr=False)
+class LinearSystem(Value):
     """A linearised graph: 1/2 ||A x - b||^2 over the tangent vectors of its variables.
 
     Attributes:
@@ -45,13 +48,16 @@ class LinearSystem:
     columns: dict[int, slice]
 
     @classmethod
-    def of(cls, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> LinearSystem:
-        """Linearise a graph. A variable that no factor touches has empty columns.
+    def of(cls, linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> LinearSystem:
+        """Return a linear graph as matrices. A variable that no factor touches has empty columns.
+
+        Args:
+            linear: the graph.
+            values: of all variables, for their dimensions.
 
         Raises:
-            EstimationError: a factor's residual or Jacobian is not finite there.
+            EstimationError: a factor's residual or Jacobian is not finite.
         """
-        linear = graph.linearize(values)
         dims = values.dims()
         columns, n = {}, 0
         for key in sorted(dims):
@@ -75,10 +81,26 @@ class LinearSystem:
         return sparse.csc_matrix(self.A.T @ self.A)
 
     @cached_property
+    def _scale(self) -> Floats:
+        """(n,) D: in units of what each unknown's own rows leave it, information is between 0 and 1 everywhere."""
+        return np.asarray(1.0 / np.sqrt(np.maximum(self.information.diagonal(), 1e-6 / LOOSEST**2)))
+
+    @cached_property
+    def _scaled(self) -> sparse.csc_matrix[np.float64]:
+        D = sparse.diags_array(self._scale)
+        return sparse.csc_matrix(D @ self.information @ D)
+
+    @cached_property
     def _factor(self) -> SuperLU:
-        diagonal = self.information.diagonal()
-        prior = max(1e-6 / LOOSEST**2, 1e-14 * diagonal.max(initial=0.0))
-        return splu(sparse.csc_matrix(self.information + prior * sparse.identity(len(diagonal))))
+        """Of the scaled information, with a vanishing prior."""
+        prior = VANISHING * sparse.identity(len(self._scale))
+        options = {"SymmetricMode": True}
+        return splu(sparse.csc_matrix(self._scaled + prior), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+
+    def _solve(self, vectors: Floats) -> Floats:
+        """The inverse information times vectors (n, ...)."""
+        D = self._scale.reshape(-1, *[1] * (vectors.ndim - 1))
+        return np.asarray(D * self._factor.solve(D * vectors))
 
     def __getstate__(self) -> dict[str, object]:
         return {name: value for name, value in self.__dict__.items() if name != "_factor"}  # SuperLU does not pickle
@@ -90,14 +112,14 @@ class LinearSystem:
         A cost is half a chi-square, so 1e-6 means a step of a thousandth of a standard deviation.
         """
         gradient: Floats = np.asarray(self.A.T @ self.b)
-        return 0.5 * float(gradient @ self._factor.solve(gradient))
+        return 0.5 * float(gradient @ self._solve(gradient))
 
     def covariance(self, keys: Sequence[int]) -> Floats:
         """Return the joint covariance (d, d) of variables, in their order; of a pose, rotation (rad) first."""
         index = np.concatenate([np.arange(self.columns[key].start, self.columns[key].stop) for key in keys])
         unit = np.zeros((self.A.shape[1], len(index)))
         unit[index, np.arange(len(index))] = 1.0
-        covariance = self._factor.solve(unit)[index]
+        covariance = self._solve(unit)[index]
         return np.asarray(0.5 * (covariance + covariance.T))
 
     @cached_property
@@ -105,17 +127,23 @@ class LinearSystem:
         """(n, k) directions that are not observable, each moving a coordinate of its own by one unit."""
         n = self.A.shape[1]
         if n <= DENSE_LIMIT:
-            eigenvalues, vectors = np.linalg.eigh(self.information.toarray())
+            null = self._null(*np.linalg.eigh(self._scaled.toarray()))
         else:
-            inverse = LinearOperator((n, n), matvec=self._factor.solve, dtype=np.float64)
-            start = np.random.default_rng(0).normal(size=n)
-            eigenvalues, vectors = eigsh(
-                self.information, k=MOST_DIRECTIONS, sigma=0.0, which="LM", OPinv=inverse, v0=start
-            )
-        rounding = n * np.finfo(float).eps * self.information.diagonal().max(initial=0.0)
-        null = vectors[:, eigenvalues < max(1.0 / LOOSEST**2, rounding)]
+            for k in (FEW_DIRECTIONS, MOST_DIRECTIONS):
+                inverse = LinearOperator((n, n), matvec=self._factor.solve, dtype=np.float64)
+                start = np.random.default_rng(0).normal(size=n)
+                null = self._null(*eigsh(self._scaled, k=k, sigma=0.0, which="LM", OPinv=inverse, v0=start))
+                if null.shape[1] < k:
+                    break
         if not null.shape[1]:
             return null
         # Any basis of the null space would do; this one reads best.
         _, pivots = scipy.linalg.qr(null.T, mode="r", pivoting=True)
         return np.asarray(null @ np.linalg.inv(null[pivots[: null.shape[1]]]))
+
+    def _null(self, eigenvalues: Floats, vectors: Floats) -> Floats:
+        """Of the scaled information's eigenvectors (n, k), those that are not observable, unscaled and orthonormal."""
+        n = len(self._scale)
+        directions = self._scale[:, None] * vectors
+        loose = eigenvalues < np.maximum(np.square(directions).sum(axis=0) / LOOSEST**2, 4 * n * np.finfo(float).eps)
+        return np.asarray(np.linalg.qr(directions[:, loose])[0]) if loose.any() else np.zeros((n, 0))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import InputError
 from optshape_graph.factors import TemplateMeasurement
 from optshape_graph.se3 import inverse
@@ -30,12 +30,8 @@ class Estimate(Protocol):
         """The measurement, taken at the estimated pose."""
 
 
-def _no_symmetry() -> tuple[Floats, ...]:
-    return (frozen(np.eye(3)),)
-
-
-@dataclass(frozen=True, eq=False)
-class Observation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Observation(Value):
     """One target measured in one scan.
 
     Attributes:
@@ -43,13 +39,13 @@ class Observation:
         target: which target; a target that was moved is another one.
         measurement: of T_target_lidar, taken at its estimate. What several scans of the same scan-target pair have
             measured is fused first, by `fuse_static`.
-        symmetry_rotations: rotations (3, 3) that turn the target onto itself, the identity among them.
+        template: of the target, whose symmetries its poses are known up to; None: it has none.
     """
 
     scan: str
     target: str
     measurement: TemplateMeasurement
-    symmetry_rotations: tuple[Floats, ...] = field(default_factory=_no_symmetry)
+    template: Target | None = None
 
     @classmethod
     def of(cls, scan: str, estimate: Estimate, target: str | None = None) -> Observation:
@@ -66,7 +62,7 @@ class Observation:
         name = estimate.target.name if target is None else target
         if estimate.status == "failed":
             raise InputError(f"scan '{scan}': the estimate of target '{name}' failed; it is no observation")
-        return cls(scan, name, estimate.measurement, estimate.target.symmetry_rotations)
+        return cls(scan, name, estimate.measurement, estimate.target)
 
     @property
     def T_target_lidar(self) -> Floats:
@@ -78,20 +74,12 @@ class Observation:
 
         The target turned by S is the same target: its pose is then T_target_lidar' with T_target_lidar = S T'.
         """
-        if len(self.symmetry_rotations) == 1:
+        if self.template is None or len(self.template.symmetries) == 1:
             return self
-        measured = self.T_target_lidar[:3, :3]
-        agreement = [np.trace(T_target_lidar[:3, :3].T @ S.T @ measured) for S in self.symmetry_rotations]
-        turn = np.eye(4)
-        turn[:3, :3] = self.symmetry_rotations[int(np.argmax(agreement))]
-        return replace(self, measurement=self.measurement.substituted(turn))
+        k = self.template.nearest_symmetry(inverse(self.T_target_lidar), inverse(T_target_lidar))
+        return replace(self, measurement=self.measurement.substituted(self.template.symmetry_transforms[k]))
 
-    def equivalent_poses(self) -> list[Floats]:
-        """Return T_lidar_target (4, 4) of every way to name the vertices of a symmetric target."""
-        T_lidar_target = inverse(self.T_target_lidar)
-        poses = []
-        for S in self.symmetry_rotations:
-            turned = T_lidar_target.copy()
-            turned[:3, :3] = T_lidar_target[:3, :3] @ S
-            poses.append(turned)
-        return poses
+    def equivalent_poses(self) -> Floats:
+        """Return T_lidar_target (S, 4, 4) of every way to name the vertices of a symmetric target."""
+        turns = np.eye(4)[None] if self.template is None else self.template.symmetry_transforms
+        return np.asarray(inverse(self.T_target_lidar) @ turns)

@@ -1,44 +1,26 @@
-"""What a solved graph says: poses, covariances, residuals, and what it could not determine."""
+"""What a solved graph says: values, covariances, and what it could not determine, in words."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import InputError, UnobservableError
+from optshape_graph.graph.chain import Chain, Chains, State
 from optshape_graph.graph.linear import LinearSystem
-from optshape_graph.se3 import adjoint, inverse
+from optshape_graph.graph.terms import Model
 
 MOVES = 1e-3
-"""Part of a direction's largest component from which on a variable counts as moving with it."""
+"""Part of a direction's largest component, above which a variable counts as moving with it."""
 
 
-@dataclass(frozen=True)
-class Residual:
-    """How well one measurement fits the solution.
-
-    Attributes:
-        scan: whose LiDAR pose.
-        target: which target.
-        chi2: sum of the squared whitened residuals of all its points.
-        n_rows: number of those residuals.
-        chi2_pose: what of it the measurement's own best pose would take away: 6 degrees of freedom. It is large where
-            measurements contradict each other.
-    """
-
-    scan: str
-    target: str
-    chi2: float
-    n_rows: int
-    chi2_pose: float
-
-
-@dataclass(frozen=True, eq=False)
-class UnobservableDirection:
+@dataclass(frozen=True, eq=False, repr=False)
+class UnobservableDirection(Value):
     """A motion of the variables that no measurement resists.
 
     Attributes:
@@ -54,103 +36,102 @@ class UnobservableDirection:
         return self.text
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Value):
     """A solved graph.
 
     Attributes:
-        T_world_lidar: (4, 4) of every scan, known or estimated.
-        T_world_target: (4, 4) of every target, known or estimated.
-        residuals: one for each observation, in their order.
-        unobservable: directions that the graph does not determine; empty when all is well.
-        converged: whether a Gauss-Newton step from here would gain nothing.
-        iterations: how often the summaries were made.
-        error: half the chi-square of all measurements and other factors, exact.
-        values: all variables, those of other factors included.
-        lidar_keys: key of each estimated LiDAR pose.
-        target_keys: key of each estimated target pose.
-        system: the graph, linearised at the solution.
+        state: of all variables.
+        models: of the terms, there, in their order.
+        factors: the other factors.
+        error: half the chi-square of all terms and factors, exact, robust losses applied.
+        converged: whether a further step would gain nothing.
+        iterations: steps taken.
+        names: of variables, by key, for messages.
     """
 
-    T_world_lidar: Mapping[str, Floats]
-    T_world_target: Mapping[str, Floats]
-    residuals: tuple[Residual, ...]
-    unobservable: tuple[UnobservableDirection, ...]
+    state: State
+    models: Sequence[Model]
+    factors: gtsam.NonlinearFactorGraph
+    error: float
     converged: bool
     iterations: int
-    error: float
-    values: gtsam.Values
-    lidar_keys: Mapping[str, int]
-    target_keys: Mapping[str, int]
-    system: LinearSystem
+    names: Mapping[int, str] = field(default_factory=dict)
 
-    def covariance(self, scans: Sequence[str] = (), targets: Sequence[str] = (), keys: Sequence[int] = ()) -> Floats:
-        """Return the joint covariance (d, d) of poses and other variables, in the order of the arguments.
+    def __repr__(self) -> str:
+        unknowns, state = self.system.A.shape[1], "converged" if self.converged else "not converged"
+        return f"Solution({unknowns} unknowns, chi2 {2 * self.error:.4g}, {state} after {self.iterations} steps)"
 
-        Poses take six rows each, the right perturbation of T_world_lidar or T_world_target, rotation first; those of
-        known poses are zero.
+    def __getstate__(self) -> dict[str, object]:
+        """Return what a pickle holds: factors that are callbacks do not pickle, so it is the linearised graph."""
+        return {**self.__dict__, "system": self.system, "factors": gtsam.NonlinearFactorGraph(), "models": ()}
 
-        Args:
-            scans: of whose T_world_lidar.
-            targets: of whose T_world_target.
-            keys: of other variables.
+    @property
+    def values(self) -> gtsam.Values:
+        """Values of all variables."""
+        return self.state.values
+
+    @cached_property
+    def system(self) -> LinearSystem:
+        """The graph as matrices, linearised at the solution.
 
         Raises:
-            InputError: no such scan, target or variable.
+            EstimationError: a factor is not finite there.
+        """
+        return LinearSystem.of(linearised(self.models, self.factors, self.state), self.values)
+
+    @cached_property
+    def unobservable(self) -> tuple[UnobservableDirection, ...]:
+        """Directions that the graph does not determine; empty when all is well."""
+        return tuple(self._described(direction) for direction in self.system.unobservable.T)
+
+    def pose(self, key: int) -> Floats:
+        """Return the estimate (4, 4) of a pose."""
+        return np.asarray(self.values.atPose3(key).matrix())
+
+    def covariance(self, keys: Sequence[int]) -> Floats:
+        """Return the joint covariance (d, d) of variables, in their order.
+
+        Of a pose it is that of the right perturbation, rotation (rad) first, then metres.
+
+        Raises:
+            InputError: no such variable.
             UnobservableError: one of them moves in a direction that is not observable.
         """
-        wanted: list[int | None] = []
-        for names, poses, known in (
-            (scans, self.T_world_lidar, self.lidar_keys),
-            (targets, self.T_world_target, self.target_keys),
-        ):
-            for name in names:
-                if name not in poses:
-                    raise InputError(f"'{name}' is not in the graph; it holds {', '.join(sorted(poses))}")
-                wanted.append(known.get(name))
         for key in keys:
             if key not in self.system.columns:
                 raise InputError(f"variable {gtsam.DefaultKeyFormatter(key)} is not in the graph")
-            wanted.append(key)
-        sizes = [6 if key is None else _size(self.system.columns[key]) for key in wanted]
-        estimated = [key for key in wanted if key is not None]
-        self._require_observable(estimated)
-        joint = np.zeros((sum(sizes), sum(sizes)))
-        if estimated:
-            free = np.repeat([key is not None for key in wanted], sizes)
-            joint[np.ix_(free, free)] = self.system.covariance(estimated)
-        return joint
-
-    def T_lidar_target(self, scan: str, target: str) -> tuple[Floats, Floats]:
-        """Return T_lidar_target (4, 4) and the covariance (6, 6) of its right perturbation, rotation first."""
-        joint = self.covariance([scan], [target])
-        T = inverse(self.T_world_lidar[scan]) @ self.T_world_target[target]
-        # T = T_l^-1 T_t moves by xi_t - Ad(T^-1) xi_l.
-        J = np.hstack([-adjoint(inverse(T)), np.eye(6)])
-        return T, J @ joint @ J.T
-
-    def _require_observable(self, keys: Sequence[int]) -> None:
         null = self.system.unobservable
-        if not null.size:
-            return
         moving = [k for k in range(null.shape[1]) if any(_moves(null[:, k], self.system.columns[key]) for key in keys)]
         if moving:
             texts = tuple(self.unobservable[k].text for k in moving)
             raise UnobservableError(f"no covariance, since not observable: {'; '.join(texts)}", texts)
+        return self.system.covariance(keys)
 
+    def size(self, key: int) -> int:
+        """Return the number of degrees of freedom of a variable."""
+        columns = self.system.columns[key]
+        return int(columns.stop - columns.start)
 
-def describe_unobservable(system: LinearSystem, names: Mapping[int, str]) -> tuple[UnobservableDirection, ...]:
-    """Put the unobservable directions of a linear system in words.
+    def relative(self, chain: Chain) -> tuple[Floats, Floats]:
+        """Return a pose made of known ones and variables (4, 4), and the covariance (6, 6) of its right perturbation.
 
-    Args:
-        system: the linearised graph.
-        names: of its variables, by key; others go by their symbol.
-    """
-    directions = []
-    for direction in system.unobservable.T:
+        Args:
+            chain: its parts, as of a measurement: `[Inverse(k_lidar), k_target]` is T_lidar_target.
+
+        Raises:
+            InputError: no such variable.
+            UnobservableError: it moves in a direction that is not observable.
+        """
+        chains = Chains([chain])
+        J = np.hstack([np.zeros((6, 0)), *chains.derivatives(np.eye(6)[None], self.state)[0]])
+        covariance = self.covariance(chains.keys[0]) if J.size else np.zeros((0, 0))
+        return chains.at(self.state)[0], J @ covariance @ J.T
+
+    def _described(self, direction: Floats) -> UnobservableDirection:
         motion = {
-            names.get(key, gtsam.DefaultKeyFormatter(key)): direction[columns]
-            for key, columns in system.columns.items()
+            self.names.get(key, gtsam.DefaultKeyFormatter(key)): direction[columns]
+            for key, columns in self.system.columns.items()
             if _moves(direction, columns)
         }
         first = max(motion, key=lambda name: float(np.abs(motion[name]).max()))
@@ -158,12 +139,19 @@ def describe_unobservable(system: LinearSystem, names: Mapping[int, str]) -> tup
         text = f"{first}: {_in_words(motion[first])}"
         if others:
             text += f", moving {', '.join(others[:3])}{f' and {len(others) - 3} more' if len(others) > 3 else ''} along"
-        directions.append(UnobservableDirection(text, motion))
-    return tuple(directions)
+        return UnobservableDirection(text, motion)
+
+
+def linearised(models: Sequence[Model], factors: gtsam.NonlinearFactorGraph, state: State) -> gtsam.GaussianFactorGraph:
+    """Return the linear graph of models and factors at a state."""
+    linear = factors.linearize(state.values)
+    for model in models:
+        model.add_to(linear)
+    return linear
 
 
 def _moves(direction: Floats, columns: slice) -> bool:
-    return bool(np.abs(direction[columns]).max() > MOVES * np.abs(direction).max())
+    return bool(np.abs(direction[columns]).max(initial=0.0) > MOVES * np.abs(direction).max())
 
 
 def _in_words(xi: Floats) -> str:
@@ -178,7 +166,3 @@ def _in_words(xi: Floats) -> str:
 def _axis(v: Floats) -> str:
     unit = v / np.linalg.norm(v)
     return f"[{', '.join(f'{x + 0.0:.2f}' for x in unit.round(2))}]"
-
-
-def _size(columns: slice) -> int:
-    return int(columns.stop - columns.start)

@@ -1,120 +1,117 @@
-"""Solve a target graph, and judge the solution by the exact gradient there."""
+"""The engine: terms and GTSAM factors, linearised again at every step, and what the solution is worth."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 
 import gtsam
 import numpy as np
 
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.graph.linear import LinearSystem
-from optshape_graph.graph.problem import TargetGraph
-from optshape_graph.graph.solution import Solution, describe_unobservable
+from optshape_graph.graph.chain import State
+from optshape_graph.graph.solution import Solution, linearised
+from optshape_graph.graph.terms import Model, Term, add_rows
 
-MAX_ITERATIONS = 30
-"""How often the summaries are made again at most."""
+MAX_ITERATIONS = 50
+"""Steps at most."""
 
-ENOUGH = 1e-8
-"""Decrease of the cost, in units of half a chi-square, below which an iteration gained nothing."""
-
-MOST_HALVINGS = 12
-"""How often a step that raises the exact cost is halved before it is given up."""
+CONVERGED = 1e-4
+"""Decrease of the cost, in half a chi-square, promised by a step that is the last one: about a hundredth of a standard
+deviation, and what is left after it is far less."""
 
 ROUNDING = 1e-12
 """Relative rise of the cost that is rounding."""
 
-CONVERGED = 1e-6
-"""Newton decrement up to which a solution counts as converged: about a thousandth of a standard deviation."""
+NEGLIGIBLE = 1e-9
+"""Rise of the cost, in half a chi-square, that is none."""
+
+SLIGHT_DAMPING = 1e-3
+"""Damping up to which a step goes as far as the measurements ask for, in all directions that they determine."""
+
+LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e6
+"""Damping that a step begins with when it is needed, and with which it is given up, relative to the information."""
 
 
 def solve(
-    graph: TargetGraph,
-    other_factors: gtsam.NonlinearFactorGraph | None = None,
-    other_values: gtsam.Values | None = None,
+    values: gtsam.Values,
+    terms: Sequence[Term] = (),
+    factors: gtsam.NonlinearFactorGraph | None = None,
+    names: Mapping[int, str] | None = None,
 ) -> Solution:
-    """Solve for all unknown poses: Levenberg-Marquardt on summaries, made again until they gain nothing.
+    """Minimise the cost of terms and factors: Gauss-Newton on the exact linearisation, damped where it must be.
 
-    Neither is trusted to have converged: the solution is judged by the exact gradient there.
+    Directions that nothing determines stay where they are; the solution says which they are.
 
     Args:
-        graph: LiDAR and target poses with their measurements.
-        other_factors: what else there is (priors, odometry, markers), on the graph's keys and others.
-        other_values: initial values of variables that only the other factors have.
+        values: initial values of all variables.
+        terms: parts of the cost that are no GTSAM factors.
+        factors: the others: priors, odometry, markers.
+        names: of variables, by key, for messages; others go by their symbol.
 
     Raises:
-        EstimationError: a factor is not finite.
-        InputError: nothing is unknown, a variable of the other factors has no initial value, or one of them is a hard
-            constraint, of which there is no information matrix.
+        EstimationError: the cost of the initial values is not finite.
+        InputError: there are no variables, a variable has no initial value, or a factor is a hard constraint, of which
+            there is no information matrix.
     """
-    others = gtsam.NonlinearFactorGraph() if other_factors is None else other_factors
-    values = graph.initial_values()
-    if other_values is not None:
-        values.insert(other_values)
+    others = gtsam.NonlinearFactorGraph() if factors is None else factors
     _check(others, values)
-
-    def cost(at: gtsam.Values) -> float:
-        return graph.error(at) + others.error(at)
-
-    factors = _joined(graph.factors(values), others)
-    error, gain, iterations = cost(values), np.inf, 0
+    state = State.of(values)
+    models = [term.at(state) for term in terms]
+    error, damping, iterations, converged = _error(models, others, state), 0.0, 0, False
     if not np.isfinite(error):
         raise EstimationError(f"the cost of the initial values is {error}: a measurement or factor is not finite there")
-    while gain > ENOUGH and iterations < MAX_ITERATIONS:
-        step = values.localCoordinates(_levenberg_marquardt(factors, values))
-        values = _descend(values, step, cost, error)
-        factors = _joined(graph.factors(values), others)
-        gain, error = error - cost(values), cost(values)
+    ordering: gtsam.Ordering | None = None  # what links what stays the same
+    while not converged and iterations < MAX_ITERATIONS:
+        linear = linearised(models, others, state)
+        if ordering is None:
+            ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
+        while True:
+            step = _step(linear, ordering, damping, values.dims())
+            if step is not None:
+                moved = state.retract(step)
+                lower = [term.at(moved) for term in terms]
+                cost = _error(lower, others, moved)
+                if cost <= error * (1 + ROUNDING) + NEGLIGIBLE:
+                    break
+            damping = max(LEAST_DAMPING, 10 * damping)
+            if damping > MOST_DAMPING:
+                return Solution(state, models, others, error, False, iterations, dict(names or {}))
+        promised = -0.5 * linear.gradientAtZero().dot(step)
+        converged = promised < CONVERGED and damping <= SLIGHT_DAMPING
+        state, models, error = moved, lower, cost
+        damping = damping / 10 if damping > 10 * LEAST_DAMPING else 0.0
         iterations += 1
-
-    system = LinearSystem.of(factors, values)
-    names = {key: f"T_world_lidar[{name}]" for name, key in graph.lidar_keys.items()}
-    names |= {key: f"T_world_target[{name}]" for name, key in graph.target_keys.items()}
-    lidars, targets = graph.poses(values)
-    return Solution(
-        T_world_lidar=lidars,
-        T_world_target=targets,
-        residuals=graph.residuals(values),
-        unobservable=describe_unobservable(system, names),
-        converged=system.decrement < CONVERGED,
-        iterations=iterations,
-        error=error,
-        values=values,
-        lidar_keys=graph.lidar_keys,
-        target_keys=graph.target_keys,
-        system=system,
-    )
+    return Solution(state, models, others, error, converged, iterations, dict(names or {}))
 
 
-def _joined(factors: gtsam.NonlinearFactorGraph, others: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
-    factors.push_back(others)
-    return factors
+def _error(models: Sequence[Model], factors: gtsam.NonlinearFactorGraph, state: State) -> float:
+    return sum(model.error for model in models) + float(factors.error(state.values))
 
 
-def _levenberg_marquardt(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setRelativeErrorTol(1e-10)
-    parameters.setAbsoluteErrorTol(0.1 * ENOUGH)
-    # A copy: what the optimiser returns must not outlive it.
-    return gtsam.Values(gtsam.LevenbergMarquardtOptimizer(factors, values, parameters).optimize())
+def _step(
+    linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, damping: float, dims: Mapping[int, int]
+) -> gtsam.VectorValues | None:
+    """The step, with a damping relative to each unknown's information; None if that leaves it singular."""
+    if damping:
+        _, column, entry = linear.sparseJacobian_()  # columns from 1, in the order of the keys; the last one is b
+        information = np.bincount(column.astype(int) - 1, np.square(entry))
+        linear, first = linear.clone(), 0
+        for key in sorted(linear.keyVector()):
+            own = information[first : first + dims[key]]
+            first += dims[key]
+            root = np.sqrt(damping * np.maximum(own, 1e-6 * max(own.max(), 1.0)))
+            add_rows(linear, [key], [np.diag(root)], np.zeros(len(root)))
+    try:
+        step = linear.optimize(ordering)
+    except RuntimeError:
+        return None
+    return step if np.isfinite(step.norm()) else None
 
 
-def _descend(
-    values: gtsam.Values, step: gtsam.VectorValues, cost: Callable[[gtsam.Values], float], error: float
-) -> gtsam.Values:
-    """Take the step, halved until the exact cost does not rise; none if it always does."""
-    for _ in range(MOST_HALVINGS):
-        moved = values.retract(step)
-        if cost(moved) <= error * (1 + ROUNDING):
-            return moved
-        step = step.scale(0.5)
-    return values
-
-
-def _check(others: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+def _check(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
     if values.size() == 0:
         raise InputError("every pose is known: there is nothing to solve for")
-    for factor in (others.at(i) for i in range(others.size())):
+    for factor in (factors.at(i) for i in range(factors.size())):
         keys = list(factor.keys())
         missing = [key for key in keys if not values.exists(key)]
         if missing:

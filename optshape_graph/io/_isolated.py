@@ -12,6 +12,7 @@ import resource
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -83,14 +84,36 @@ def _read_c3d(path: str) -> Arrays:
     point = content["parameters"]["POINT"]
     points = np.asarray(content["data"]["points"], dtype=float)[:3].transpose(2, 1, 0)
     residuals = np.asarray(content["data"]["meta_points"]["residuals"], dtype=float)[0].T
+    labels = [str(label) for key in _counted(point, "LABELS") for label in point[key]["value"]]
+    computed = Counter(
+        str(label) for group in _COMPUTED for key in _counted(point, group) for label in point[key]["value"]
+    )
+    markers = []
+    for k in reversed(range(min(len(labels), points.shape[1]))):  # an output may have a marker's name: it comes later
+        if computed[labels[k]]:
+            computed[labels[k]] -= 1
+        else:
+            markers.append(k)
+    markers.reverse()
+    kept = markers if len(labels) >= points.shape[1] else list(range(points.shape[1]))
     return {
-        "positions": np.where(residuals[:, :, None] < 0, np.nan, points),
-        "labels": np.array(
-            [str(label) for key in sorted(point) if key.startswith("LABELS") for label in point[key]["value"]]
-        ),
+        "positions": np.where(residuals[:, kept, None] < 0, np.nan, points[:, kept]),
+        "labels": np.array([labels[k] for k in kept] if len(labels) >= points.shape[1] else labels, dtype=str),
+        "outputs": np.array(sorted(set(labels) - {labels[k] for k in markers}), dtype=str),
+        "first_frame": np.array(int(content["header"]["points"]["first_frame"])),
         "unit": np.array(str(point["UNITS"]["value"][0])),
         "rate": np.array(float(point["RATE"]["value"][0])),
     }
+
+
+_COMPUTED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS", "MODELED_MARKERS")
+"""Parameters of C3D's POINT that list labels of what a model computed."""
+
+
+def _counted(point: Any, name: str) -> list[str]:
+    """The parameter, and those that go on where it is full: LABELS, LABELS2, LABELS3, ..."""
+    keys = [key for key in point if key == name or (key.startswith(name) and key[len(name) :].isdecimal())]
+    return sorted(keys, key=lambda key: int(key[len(name) :] or 1))
 
 
 def _read_mat(path: str) -> Arrays:

@@ -138,6 +138,20 @@ def write_json(path: str | Path, value: Any) -> None:
     write_atomically(path, _encode(value, str(path), "") + "\n")
 
 
+def json_text(value: Any, what: str, indent: str = "") -> str:
+    """Return plain data, NumPy arrays and scalars as `write_json` writes them.
+
+    Args:
+        value: the data.
+        what: they are, for messages.
+        indent: of all lines but the first.
+
+    Raises:
+        InputError: a number is not finite, or a value has no JSON form.
+    """
+    return _encode(value, what, indent)
+
+
 def write_yaml(path: str | Path, value: Mapping[str, Any]) -> None:
     """Write a mapping of plain data as YAML, in its order.
 

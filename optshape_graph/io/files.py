@@ -5,7 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import stat
+from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from optshape_graph.errors import InputError
 
@@ -51,10 +54,7 @@ def read_bytes(path: str | Path, largest: int = LARGEST_FILE) -> bytes:
     """
     path = Path(path)
     try:
-        if path.is_dir():
-            raise InputError(f"{path}: expected a file, found a folder")
-        if path.is_fifo() and path.parts[:2] not in (("/", "dev"), ("/", "proc")):
-            raise InputError(f"{path}: a named pipe, which may have no end; expected a file")
+        _check_regular(path)
         with path.open("rb") as stream:  # in pieces: read(n) allocates n bytes at once, whatever the file's size
             pieces, size = [], 0
             while size <= largest and (piece := stream.read(_PIECE)):
@@ -62,11 +62,25 @@ def read_bytes(path: str | Path, largest: int = LARGEST_FILE) -> bytes:
                 size += len(piece)
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error
+    except InputError:
+        raise
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise InputError(f"{path}: cannot be read ({_reason(error)})") from error
     if size > largest:
         raise InputError(f"{path}: larger than {largest} bytes, the most that is read of such a file")
     return b"".join(pieces)
+
+
+def _check_regular(path: Path) -> None:
+    """Refuse what is no file: a device has no end, and a named pipe may have none, nor a beginning.
+
+    What a shell makes of `<(...)`, and /dev/stdin, are pipes that it has filled: they are read.
+    """
+    mode = path.stat().st_mode
+    if stat.S_ISREG(mode) or (stat.S_ISFIFO(mode) and path.parts[:2] in (("/", "dev"), ("/", "proc"))):
+        return
+    kind = "folder" if stat.S_ISDIR(mode) else "named pipe" if stat.S_ISFIFO(mode) else "device"
+    raise InputError(f"{path}: expected a file, found a {kind}")
 
 
 def read_head(path: str | Path, size: int) -> bytes:
@@ -103,25 +117,42 @@ def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
 
 
 def write_atomically(path: str | Path, data: bytes | str) -> None:
-    """Write a file whole or not at all.
+    """Write a file whole or not at all; see `open_atomically`.
+
+    Raises:
+        InputError: the place cannot be written (no such folder, read-only, full disk, ...); nothing is left behind.
+    """
+    with open_atomically(path) as stream:
+        stream.write(data.encode() if isinstance(data, str) else data)
+
+
+@contextlib.contextmanager
+def open_atomically(path: str | Path) -> Iterator[BinaryIO]:
+    """Open a file to be written whole or not at all.
 
     The data go to a temporary file in the same folder, reach the disk, and are then renamed: whoever opens `path`
     sees the old content or the new one. A device or pipe (/dev/stdout) is written to as it is.
+
+    Args:
+        path: of the file.
+
+    Yields:
+        The stream to write to.
 
     Raises:
         InputError: the place cannot be written (no such folder, read-only, full disk, ...); nothing is left behind.
     """
     path = Path(path)
-    content = data.encode() if isinstance(data, str) else data
     temporary: Path | None = None
     try:
         if path.exists() and not path.is_file() and not path.is_dir():
-            path.write_bytes(content)
+            with path.open("wb") as stream:
+                yield stream
             return
         final = path.resolve()  # a symbolic link stays one: its destination is replaced
         temporary = final.with_name(f".{final.name[:200]}.{secrets.token_hex(4)}.tmp")
         with temporary.open("xb") as stream:
-            stream.write(content)
+            yield stream
             stream.flush()
             os.fsync(stream.fileno())
         if final.exists():
@@ -129,6 +160,8 @@ def write_atomically(path: str | Path, data: bytes | str) -> None:
         temporary.replace(final)
         temporary = None
         _sync_folder(final.parent)
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be written ({_reason(error)})") from error
     finally:

@@ -72,6 +72,13 @@ def read_foreign_document(path: Path) -> Node:
     return Node(value, path, (), lines)
 
 
+def camera_names(root: Node) -> list[str]:
+    """Return the names of a document's cameras, where it has several by name; else none."""
+    if not isinstance(root.value, dict):
+        return []
+    return [key for key, node in root.entries().items() if _first(_named(node), ("intrinsics", *_MATRIX))]
+
+
 def read_foreign_camera(root: Node, name: str | None) -> CameraIntrinsics:
     """Return the camera of another program's file.
 
@@ -90,7 +97,7 @@ def read_foreign_camera(root: Node, name: str | None) -> CameraIntrinsics:
         for node in (projection, *(node for node in nested if node)):
             fields = {**_named(node), **fields}
         return _camera(root, fields, root.path.stem)
-    cameras = {key: node for key, node in root.entries().items() if _first(_named(node), ("intrinsics", *_MATRIX))}
+    cameras = {key: root.at(key) for key in camera_names(root)}
     if not cameras:
         root.fail(f"{_EXPECTED}; found the keys: {', '.join(root.entries())}")
     if len(cameras) == 1:

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optshape_graph.errors import InputError, missing_extra
+from optshape_graph.io.files import read_head
 
 LARGEST_IMAGE = 1 << 28
 """Pixels of an image: the largest sensors of industrial cameras have 250 million."""
@@ -75,6 +78,32 @@ def image_size(data: bytes) -> tuple[int, int] | None:
     except (struct.error, IndexError, KeyError):
         return None
     return int(width), abs(int(height))  # of a BMP, the sign says which row is first
+
+
+def read_video(path: Path) -> Iterator[NDArray[np.uint8]]:
+    """Yield the frames of a video file, (h, w, 3) blue, green, red, 8 bit.
+
+    Raises:
+        InputError: no such file, not a video of a known container, or without a frame that can be decoded.
+        MissingExtraError: OpenCV is absent.
+    """
+    head = read_head(path, 16)
+    if not (head[4:8] == b"ftyp" or (head[:4] == b"RIFF" and head[8:12] == b"AVI ") or head[:4] == b"\x1aE\xdf\xa3"):
+        # OpenCV's decoders would also follow a list of addresses
+        raise InputError(f"{path}: not a video; expected MP4, AVI or MKV")
+    cv2 = opencv()
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        if not capture.isOpened() or not 0 < width * height <= LARGEST_IMAGE:
+            raise InputError(f"{path}: a video that OpenCV cannot read ({width} x {height} pixels)")
+        while True:
+            there, pixels = capture.read()
+            if not there:
+                return
+            yield np.asarray(pixels, dtype=np.uint8)
+    finally:
+        capture.release()
 
 
 def opencv() -> Any:

@@ -1,4 +1,4 @@
-"""Motion-capture markers: a CSV file with the columns frame, marker, x, y, z."""
+"""Motion-capture markers: a CSV file with the columns frame, marker, x, y, z, or what a vendor's program exports."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.io.files import read_text
+from optshape_graph.io.mocap import MocapRecording, read_mocap
 from optshape_graph.target import LARGEST_EXTENT_M
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -21,8 +22,8 @@ _COLUMNS = ("frame", "marker", "x", "y", "z")
 _SMALLEST_EXTENT_M = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class Markers:
+@dataclass(frozen=True, eq=False, repr=False)
+class Markers(Value):
     """Marker positions over frames.
 
     Attributes:
@@ -35,19 +36,31 @@ class Markers:
     names: tuple[str, ...]
 
 
+def states_its_units(path: str | Path) -> bool:
+    """Return whether a file is a vendor's export, which says its unit of length, and not the CSV of this package."""
+    if Path(path).suffix.lower() != ".csv":
+        return True
+    first = read_text(path).lstrip("\ufeff \r\n").partition("\n")[0]
+    return first.startswith(("NO_OF_", "Format Version", "Trajectories"))
+
+
 def read_markers(path: str | Path, units: str = "m") -> Markers:
     """Read marker positions.
 
-    A marker that was not seen is left out of its frame, or has empty or NaN coordinates.
+    A marker that was not seen is left out of its frame, or has empty or NaN coordinates. Rows without a marker's name
+    are passed over.
 
     Args:
-        path: a CSV file whose first line names the columns frame, marker, x, y, z, in any order.
-        units: of the coordinates: "m", "cm" or "mm".
+        path: a CSV file whose first line names the columns frame, marker, x, y, z, in any order; or an export that
+            `read_mocap` reads, whose frames are counted from 0.
+        units: of the coordinates: "m", "cm" or "mm"; an export states its own, and those count.
 
     Raises:
         InputError: not readable, other columns, a frame that is not an integer, a coordinate that is not a number, a
             marker twice in a frame or seen in part, or a size of a marker set that says the units are wrong.
     """
+    if states_its_units(path):
+        return _of_recording(read_mocap(path))
     if units not in UNITS:
         raise InputError(f"{path}: units '{units}', expected one of: {', '.join(UNITS)}")
     reader = csv.reader(io.StringIO(read_text(path), newline=""))
@@ -67,7 +80,7 @@ def read_markers(path: str | Path, units: str = "m") -> Markers:
         row = dict(zip(header, cells, strict=True))
         frame, marker = _frame(where, row["frame"]), row["marker"]
         if not marker:
-            raise InputError(f"{where}: the marker has no name")
+            continue
         if marker in seen.setdefault(frame, {}):
             raise InputError(f"{where}: marker '{marker}' is given twice in frame {frame}")
         seen[frame][marker] = frozen(np.array([_coordinate(where, row[axis]) for axis in "xyz"]) * UNITS[units])
@@ -80,6 +93,14 @@ def read_markers(path: str | Path, units: str = "m") -> Markers:
     frames = {frame: {name: markers.get(name, missing) for name in names} for frame, markers in seen.items()}
     _check_extent(path, frames, units)
     return Markers(frames, names)
+
+
+def _of_recording(recording: MocapRecording) -> Markers:
+    frames = {
+        number: dict(zip(recording.markers, positions, strict=True))
+        for number, positions in enumerate(recording.positions)
+    }
+    return Markers(frames, recording.markers)
 
 
 def _frame(where: str, text: str) -> int:

@@ -1,4 +1,4 @@
-"""Motion capture as the vendors export it: Qualisys TSV and MAT, C3D, Motive CSV, Vicon CSV.
+"""Motion capture as the vendors export it: Qualisys TSV and MAT, C3D, Motive CSV, Vicon CSV, TRC.
 
 Each is read with its own units, rate and way of writing a gap, into the same thing in metres.
 """
@@ -6,6 +6,7 @@ Each is read with its own units, rate and way of writing a gap, into the same th
 from __future__ import annotations
 
 import csv
+import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.io._isolated import read_isolated
 from optshape_graph.io.files import read_bytes
@@ -24,11 +25,16 @@ METRES = {
 }  # fmt: skip
 """Length units, as the vendors spell them."""
 
+LARGEST_BAD_SHARE = 0.1
+"""Share of frames that may be out of order; they are left out and counted."""
+
+_LOG = logging.getLogger(__name__)
+
 Rows = list[list[str]]
 
 
-@dataclass(frozen=True, eq=False)
-class MocapRecording:
+@dataclass(frozen=True, eq=False, repr=False)
+class MocapRecording(Value):
     """Positions of markers over time.
 
     Attributes:
@@ -116,6 +122,7 @@ def read_mocap(path: str | Path) -> MocapRecording:
     path = Path(path)
     readers: dict[str, Callable[[Path], MocapRecording]] = {
         ".c3d": read_c3d, ".mat": read_qualisys_mat, ".tsv": read_qualisys_tsv, ".csv": _read_csv, ".txt": _read_csv,
+        ".trc": read_trc,
     }  # fmt: skip
     if path.suffix.lower() not in readers:
         raise InputError(f"{path}: motion capture is read from {', '.join(readers)} files")
@@ -128,6 +135,8 @@ def _read_csv(path: Path) -> MocapRecording:
         return read_qualisys_tsv(path)
     if first.startswith("Format Version"):
         return read_motive_csv(path)
+    if first.startswith("PathFileType"):
+        return read_trc(path)
     if any(line.strip(' ,"\t;') == "Trajectories" for line in _text(path).splitlines()):
         return read_vicon_csv(path)
     raise InputError(
@@ -161,7 +170,7 @@ def read_qualisys_tsv(path: str | Path) -> MocapRecording:
     positions = _positions(path, rows, range(leading, leading + 3 * len(markers)), METRES["mm"])
     positions[(positions == 0).all(axis=2)] = np.nan
     times = _column(path, rows, 1) if leading == 2 else _times(path, len(rows), rate)
-    return MocapRecording(times, tuple(markers), positions, rate, str(path))
+    return _recording(path, times, markers, positions, rate)
 
 
 def read_qualisys_mat(path: str | Path) -> MocapRecording:
@@ -176,6 +185,9 @@ def read_qualisys_mat(path: str | Path) -> MocapRecording:
 def read_c3d(path: str | Path) -> MocapRecording:
     """Read a C3D file: units, rate and labels are its parameters; a gap has a negative residual.
 
+    What a model computed (POINT:ANGLES, FORCES, ...) is no marker. Frames count from the file's first frame, as in the
+    capture that it was cut out of.
+
     Raises:
         InputError: not such a file, or damaged.
     """
@@ -188,9 +200,13 @@ def _read_binary(form: str, path: Path) -> MocapRecording:
     positions, labels, rate = content["positions"], content["labels"], float(content["rate"])
     if len(labels) < positions.shape[1]:
         raise InputError(f"{path}: {positions.shape[1]} markers but {len(labels)} labels")
-    markers = tuple(str(label) for label in labels[: positions.shape[1]])
+    markers = [str(label) for label in labels[: positions.shape[1]]]
+    if outputs := [str(label) for label in content.get("outputs", ())]:
+        _LOG.info("%s: %d outputs of a model (angles, forces, ...) are no markers and passed over: %s", path,
+                  len(outputs), ", ".join(outputs[:5]))  # fmt: skip
     scale = _metres(path, str(content["unit"]))
-    return MocapRecording(_times(path, len(positions), rate), markers, positions * scale, rate, str(path))
+    times = _times(path, len(positions), rate) + int(content.get("first_frame", 0)) / rate
+    return _recording(path, times, markers, positions * scale, rate)
 
 
 def read_motive_csv(path: str | Path) -> MocapRecording:
@@ -202,6 +218,64 @@ def read_motive_csv(path: str | Path) -> MocapRecording:
         InputError: not such a file, or damaged.
     """
     path = Path(path)
+    motive = _motive(path)
+    columns: list[tuple[str, int]] = []
+    for wanted in ("Marker", "Rigid Body Marker"):
+        found = [(name, k) for kind, name, k, what in motive.columns if kind == wanted and what == "Position"]
+        known = {name for name, _ in columns}
+        columns += [(name, k) for name, k in found if name not in known]
+    if not columns:
+        bodies = ", ".join(dict.fromkeys(name for kind, name, _, _ in motive.columns if kind == "Rigid Body"))
+        raise InputError(
+            f"{path}: no markers in it, but rigid bodies: {bodies}. As motion capture of a target, markers are needed "
+            "(export them too); as the sensor's trajectory it is read (--odometry)"
+            if bodies
+            else f"{path}: no markers and no rigid bodies in it"
+        )
+    labelled = [(name, k) for name, k in columns if not name.lower().startswith("unlabeled")]
+    if labelled and len(labelled) < len(columns):
+        _LOG.warning("%s: %d unlabeled markers are passed over", path, len(columns) - len(labelled))
+        columns = labelled
+    axes = [k + axis for _, k in columns for axis in range(3)]
+    positions = _positions(path, motive.frames, axes, motive.scale)
+    return _recording(path, _column(path, motive.frames, 1), [name for name, _ in columns], positions, motive.rate)
+
+
+def read_motive_bodies(path: Path) -> tuple[Floats, dict[str, Floats], str]:
+    """Read the rigid bodies of a CSV export of OptiTrack Motive.
+
+    Returns:
+        (F,) seconds since the capture began; by name of a body its positions, metres, and quaternions, x y z w, as
+        (F, 7), NaN where it was not seen; and the file's name for messages.
+
+    Raises:
+        InputError: not such a file, damaged, or with rotations that are no quaternions.
+    """
+    motive = _motive(path)
+    places = {(name, what): k for kind, name, k, what in motive.columns if kind == "Rigid Body"}
+    bodies = {}
+    for name, what in places:
+        if what == "Position" and (name, "Rotation") in places:
+            k, q = places[name, "Position"], places[name, "Rotation"]
+            position = _positions(path, motive.frames, range(k, k + 3), motive.scale)[:, 0]
+            turned = [[_number(row[q + i]) if q + i < len(row) else np.nan for i in range(4)] for row in motive.frames]
+            bodies[name] = np.column_stack([position, np.array(turned, dtype=float).reshape(-1, 4)])
+    if places and not bodies:
+        raise InputError(f"{path}: rotations of rigid bodies as angles; export them as quaternions")
+    return _column(path, motive.frames, 1), bodies, str(path)
+
+
+@dataclass(frozen=True)
+class _Motive:
+    """An export of Motive: of each block of columns its type, name, first column and property; the lines of frames."""
+
+    columns: list[tuple[str, str, int, str]]
+    frames: Rows
+    rate: float
+    scale: float
+
+
+def _motive(path: Path) -> _Motive:
     rows = [row for row in _table(path, ",") if any(row)]
     pairs = iter(rows[0])
     header = {key: [value] for key, value in zip(pairs, pairs, strict=False)}
@@ -211,17 +285,36 @@ def read_motive_csv(path: str | Path) -> MocapRecording:
     if start is None or types is None or names is None:
         raise InputError(f"{path}: expected header rows 'Type', 'Name' and 'Frame', as Motive writes them")
     kinds, axes = rows[start - 1], rows[start]
-    columns: dict[str, int] = {}
-    for wanted in ("Marker", "Rigid Body Marker"):
-        for k in range(2, len(axes) - 2):
-            x_of_position = kinds[k : k + 3] == ["Position"] * 3 and axes[k : k + 3] == ["X", "Y", "Z"]
-            if x_of_position and k < min(len(types), len(names)) and types[k] == wanted:
-                columns.setdefault(names[k], k)
+    blocks = {"Position": ["X", "Y", "Z"], "Rotation": ["X", "Y", "Z", "W"]}
+    columns = [
+        (types[k], names[k], k, what)
+        for k in range(2, min(len(axes), len(types), len(names), len(kinds)))
+        for what, letters in blocks.items()
+        if kinds[k : k + len(letters)] == [what] * len(letters) and axes[k : k + len(letters)] == letters
+    ]
     scale = _metres(path, header.get("Length Units", ["(none)"])[0])
-    frames = rows[start + 1 :]
-    positions = _positions(path, frames, [k + axis for k in columns.values() for axis in range(3)], scale)
     rate = _header_number(path, header, "Export Frame Rate" if "Export Frame Rate" in header else "Capture Frame Rate")
-    return MocapRecording(_column(path, frames, 1), tuple(columns), positions, rate, str(path))
+    return _Motive(columns, rows[start + 1 :], rate, scale)
+
+
+def read_trc(path: str | Path) -> MocapRecording:
+    """Read a TRC file (Motion Analysis, OpenSim): units and rate in its third line; a gap is empty.
+
+    Raises:
+        InputError: not such a file, or damaged.
+    """
+    path = Path(path)
+    rows = _table(path, "\t")
+    names = next((k for k, row in enumerate(rows) if row and row[0].lower().startswith("frame")), None)
+    if names is None or names < 2:
+        raise InputError(f"{path}: expected the lines of a TRC file: its header, and 'Frame#', 'Time' and the markers")
+    header = {key.lower(): [value] for key, value in zip(rows[names - 2], rows[names - 1], strict=False) if key}
+    columns = [(name, k) for k, name in enumerate(rows[names]) if k > 1 and name]
+    frames = [row for row in rows[names + 2 :] if row and _is_number(row[0])]
+    rate = _header_number(path, header, "datarate")
+    scale = _metres(path, header.get("units", ["(none)"])[0])
+    positions = _positions(path, frames, [k + axis for _, k in columns for axis in range(3)], scale)
+    return _recording(path, _column(path, frames, 1), [name for name, _ in columns], positions, rate)
 
 
 def read_vicon_csv(path: str | Path) -> MocapRecording:
@@ -237,16 +330,34 @@ def read_vicon_csv(path: str | Path) -> MocapRecording:
         raise InputError(f"{path}: expected a section 'Trajectories': rate, names, axes, units and frames")
     rate = float(rows[begin + 1][0])
     names, axes, units = rows[begin + 2], rows[begin + 3], rows[begin + 4]
-    columns = {names[k]: k for k in range(2, min(len(names), len(axes) - 2))
-               if names[k] and axes[k : k + 3] == ["X", "Y", "Z"]}  # fmt: skip
+    columns = [(names[k], k) for k in range(2, min(len(names), len(axes) - 2))
+               if names[k] and axes[k : k + 3] == ["X", "Y", "Z"]]  # fmt: skip
     frames = rows[begin + 5 :]
     frames = frames[: next((k for k, row in enumerate(frames) if not any(row)), len(frames))]
     scale = _metres(path, units[2] if len(units) > 2 else "(none)")
-    positions = _positions(path, frames, [k + axis for k in columns.values() for axis in range(3)], scale)
+    positions = _positions(path, frames, [k + axis for _, k in columns for axis in range(3)], scale)
     if not (np.isfinite(rate) and rate > 0):
         raise InputError(f"{path}: rate {rate} Hz is not a positive number")
     times = (_column(path, frames, 0) - 1) / rate
-    return MocapRecording(times, tuple(columns), positions, rate, str(path))
+    return _recording(path, times, [name for name, _ in columns], positions, rate)
+
+
+def _recording(path: Path, times: Floats, markers: Sequence[str], positions: Floats, rate: float) -> MocapRecording:
+    """The recording without what is there twice: of markers of one name the first, of frames of one time the first."""
+    first = {name: k for k, name in reversed(list(enumerate(markers)))}
+    if len(first) < len(markers):
+        repeated = sorted({name for k, name in enumerate(markers) if first[name] != k})
+        _LOG.warning("%s: several markers are called %s; the first of each is read", path, ", ".join(repeated))
+    latest = np.maximum.accumulate(times) if len(times) else times
+    later = np.ones(len(times), dtype=bool)
+    later[1:] = times[1:] > latest[:-1]
+    if not later.all() and later.mean() > 1 - LARGEST_BAD_SHARE:
+        _LOG.warning(
+            "%s: %d of %d frames are no later than the one before and left out", path, (~later).sum(), len(later)
+        )
+        times, positions = times[later], positions[later]
+    kept = sorted(first.values())
+    return MocapRecording(times, tuple(markers[k] for k in kept), positions[:, kept], rate, str(path))
 
 
 def _text(path: Path) -> str:

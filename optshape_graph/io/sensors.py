@@ -1,15 +1,18 @@
-"""Sensor files: `schema: optshape/sensor/1`."""
+"""Sensor files: `schema: optshape/sensor/1`, and the makers' own tables of a unit's beams."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
-from optshape_graph.io.builtin import find
-from optshape_graph.io.documents import read_document, write_yaml
+from optshape_graph.io.builtin import builtin_names, find
+from optshape_graph.io.documents import Node, read_document, write_yaml
+from optshape_graph.io.maker_tables import MakerTable, read_maker_table
 from optshape_graph.sensor import SensorModel
 
 _METRES = {
@@ -23,9 +26,19 @@ _METRES = {
 }
 """Keys of lengths, and the attributes of `SensorModel` that they set."""
 
+ALIKE = np.radians(1.5)
+"""Up to this much the beams of a unit differ from its model's data sheet, rad."""
+
+ASSUMED = {"range_noise": 0.01, "ring_bias": 0.01, "beam_divergence": np.radians(0.17), "beam_aperture": 0.01}
+"""What is assumed of a sensor of which nothing but its beams is known, metres and rad."""
+
 
 def load_sensor(name_or_path: str | Path, folder: Path | None = None) -> SensorModel:
     """Return a built-in sensor or the sensor of a file; degrees in the file, radians in the model.
+
+    Files are of this package's own form, or a maker's: Ouster's metadata JSON, a Velodyne calibration YAML (of the ROS
+    driver), Hesai's or RoboSense's angle correction CSV. A maker's file has the beams; noise and beam shape are those
+    of the built-in sensor that has nearly the same table, or what is assumed of an unknown one.
 
     Args:
         name_or_path: a built-in name ("vlp32c") or a file.
@@ -36,8 +49,14 @@ def load_sensor(name_or_path: str | Path, folder: Path | None = None) -> SensorM
             (see `SensorModel`).
     """
     path = find("sensor", str(name_or_path), folder)
-    root = read_document(path, "sensor")
-    fields = root.entries()
+    table = read_maker_table(path)
+    if table is not None:
+        return _of_maker(path, table)
+    return _own(read_document(path, "sensor"))
+
+
+def _own(root: Node) -> SensorModel:
+    fields, path = root.entries(), root.path
     parameters: dict[str, Any] = {
         attribute: fields[key].number() for key, attribute in _METRES.items() if key in fields
     }
@@ -52,6 +71,31 @@ def load_sensor(name_or_path: str | Path, folder: Path | None = None) -> SensorM
         return SensorModel(elevations, name, **parameters)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def _of_maker(path: Path, table: MakerTable) -> SensorModel:
+    """A maker's table with what a sensor like it has besides."""
+    alike = nearest_builtin(table.elevations)
+    try:
+        if alike is None:
+            return SensorModel(table.elevations, path.stem, table.azimuth_step, azimuth_offsets=table.azimuth_offsets,
+                               **ASSUMED)  # fmt: skip
+        step = alike.azimuth_step if table.azimuth_step is None else table.azimuth_step
+        return replace(
+            alike, elevations=table.elevations, name=path.stem, azimuth_step=step, azimuth_offsets=table.azimuth_offsets
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def nearest_builtin(elevations: Floats) -> SensorModel | None:
+    """Return the built-in sensor whose table is nearest to elevations (R,), rad; None: none has such a table."""
+    sensors = [load_sensor(name) for name in builtin_names("sensor")]
+    alike = [(float(np.abs(sensor.elevations - elevations).max()), k) for k, sensor in enumerate(sensors)
+             if sensor.n_rings == len(elevations)]  # fmt: skip
+    if not alike or min(alike)[0] > ALIKE:
+        return None
+    return sensors[min(alike)[1]]
 
 
 def save_sensor(path: str | Path, sensor: SensorModel) -> None:

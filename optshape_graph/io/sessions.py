@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+from optshape_graph._arrays import Value
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.builtin import builtin_names
 from optshape_graph.io.cameras import load_camera
 from optshape_graph.io.documents import Node, read_document
-from optshape_graph.io.markers import Markers, read_markers
+from optshape_graph.io.markers import Markers, read_markers, states_its_units
 from optshape_graph.io.sensors import load_sensor
 from optshape_graph.io.targets import load_target
 from optshape_graph.sensor import SensorModel
@@ -48,8 +49,8 @@ class View:
     corners: Path | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Mocap:
+@dataclass(frozen=True, eq=False, repr=False)
+class Mocap(Value):
     """Motion capture of a session.
 
     Attributes:
@@ -63,8 +64,8 @@ class Mocap:
     vertices: Mapping[str, tuple[str, int]]
 
 
-@dataclass(frozen=True, eq=False)
-class Session:
+@dataclass(frozen=True, eq=False, repr=False)
+class Session(Value):
     """A session, of either form of file.
 
     In the short form the one LiDAR, camera and target go by their own names.
@@ -199,7 +200,10 @@ def _frame(node: Node, mocap: Mocap | None) -> int:
 
 def _mocap(node: Node, targets: Mapping[str, Target]) -> Mocap:
     fields = node.entries()
-    markers = read_markers(fields["file"].file(), fields["units"].text())
+    file = fields["file"].file()
+    if "units" not in fields and not states_its_units(file):
+        node.fail("the key 'units' is missing")
+    markers = read_markers(file, fields["units"].text() if "units" in fields else "m")
     if "markers" not in fields:
         return Mocap(markers, _corners(markers, targets))
     vertices: dict[str, tuple[str, int]] = {}
@@ -216,12 +220,13 @@ def _mocap(node: Node, targets: Mapping[str, Target]) -> Mocap:
 
 
 def _corners(markers: Markers, targets: Mapping[str, Target]) -> dict[str, tuple[str, int]]:
-    """Markers called corner0, corner1, ... of the one target; empty if any has another name."""
+    """Markers called corner0, corner1, ... of the one target; empty if some are missing and others are there."""
     if len(targets) != 1:
         return {}
     ((name, target),) = targets.items()
     corners = {f"corner{k}": (name, k) for k in range(len(target))}
-    return {marker: corners[marker] for marker in markers.names} if set(markers.names) <= corners.keys() else {}
+    named = {marker: corners[marker] for marker in markers.names if marker in corners}
+    return named if len(named) in (len(target), len(markers.names)) else {}
 
 
 def _reference(node: Node, known: Iterable[str], kind: str) -> str:

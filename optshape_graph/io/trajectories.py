@@ -1,7 +1,10 @@
-"""Trajectories and pose graphs: TUM, KITTI and g2o, read and written."""
+"""Trajectories and pose graphs: TUM and its kin, KITTI and g2o, read and written."""
 
 from __future__ import annotations
 
+import logging
+import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
@@ -10,19 +13,48 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.io.files import read_text, write_atomically
+from optshape_graph.io.clouds.text import decode
+from optshape_graph.io.files import is_file, read_bytes, read_text, write_atomically
+from optshape_graph.io.mocap import METRES, read_motive_bodies
+from optshape_graph.io.times import parse_stamp
 
 NORM_TOLERANCE = 1e-2
 """How far a quaternion's norm, or a rotation matrix's columns, may be from one: files carry four digits and up."""
+
+LARGEST_BAD_SHARE = 0.1
+"""Share of lines that may be no pose; they are left out and counted."""
+
+FEWEST = 2
+"""Poses that must be left beside one line that is none, however short the file."""
+
+_ORDER = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
+
+_NAMES: dict[str, tuple[str, ...]] = {
+    "stamp": ("timestamp", "time", "stamp", "t", "ts", "sec", "seconds", "times", "timestampns", "timens", "nsec"),
+    "x": ("x", "tx", "px", "prsrx", "posx", "positionx", "pos0", "translationx", "transx"),
+    "y": ("y", "ty", "py", "prsry", "posy", "positiony", "pos1", "translationy", "transy"),
+    "z": ("z", "tz", "pz", "prsrz", "posz", "positionz", "pos2", "translationz", "transz"),
+    "qx": ("qx", "qrsx", "quatx", "orientationx", "rotx", "rotationx", "quaternionx", "orix"),
+    "qy": ("qy", "qrsy", "quaty", "orientationy", "roty", "rotationy", "quaterniony", "oriy"),
+    "qz": ("qz", "qrsz", "quatz", "orientationz", "rotz", "rotationz", "quaternionz", "oriz"),
+    "qw": ("qw", "qrsw", "quatw", "orientationw", "rotw", "rotationw", "quaternionw", "oriw"),
+    "roll": ("roll", "rollrad", "rolldeg", "rx"), "pitch": ("pitch", "pitchrad", "pitchdeg", "ry"),
+    "yaw": ("yaw", "yawrad", "yawdeg", "rz", "heading"),
+}  # fmt: skip
+"""Names of columns, without case and separators."""
+
+_SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0}
+
+log = logging.getLogger(__name__)
 
 TRANSLATION_FIRST = [3, 4, 5, 0, 1, 2]
 """g2o's order of the tangent space (translation, rotation) in GTSAM's (rotation, translation), and back."""
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(Value):
     """Poses over time.
 
     Attributes:
@@ -57,8 +89,8 @@ class Trajectory:
         return len(self.poses)
 
 
-@dataclass(frozen=True, eq=False)
-class PoseGraphEdge:
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseGraphEdge(Value):
     """A relative pose between two vertices.
 
     Attributes:
@@ -73,8 +105,8 @@ class PoseGraphEdge:
     information: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class PoseGraph:
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseGraph(Value):
     """Poses with names, and measurements between them.
 
     Attributes:
@@ -88,17 +120,206 @@ class PoseGraph:
     fixed: frozenset[int] = frozenset()
 
 
-def read_tum(path: str | Path) -> Trajectory:
-    """Read a TUM trajectory: lines of `stamp tx ty tz qx qy qz qw`, `#` for comments.
+def is_trajectory(name: str | Path) -> bool:
+    """Say whether a name is that of a file to be read with `read_trajectory`: one that exists, or ends in `.tum`."""
+    path = Path(name)
+    return (
+        path.suffix == ".tum"
+        or is_file(path)
+        or (":" in path.name and is_file(path.with_name(path.name.rpartition(":")[0])))
+    )
+
+
+def read_trajectory(path: str | Path) -> Trajectory:
+    """Read a trajectory with stamps, whatever the file's ending.
+
+    - TUM: lines of `stamp tx ty tz qx qy qz qw`, separated by blanks or commas, `#` for comments.
+    - The same with a line, a comment or not, that names the columns: their order and units are taken from it, as in
+      EuRoC's and TUM-VI's CSV (nanoseconds, w first). Other columns are passed over.
+    - A rigid body of an export of OptiTrack Motive; FILE:BODY names one of several.
+
+    Stamps of an epoch in milli-, micro- or nanoseconds are told by their size. Lines that are no pose, and poses whose
+    stamp is not after the one before, are left out, counted and said, as long as they are few
+    (`LARGEST_BAD_SHARE`).
 
     Raises:
-        InputError: a line that is not that, or stamps that do not increase.
+        InputError: not readable, poses without stamps (KITTI) or without quaternions, an order of the quaternion that
+            nothing tells, or too many lines that are no pose.
     """
     path = Path(path)
-    rows = list(_rows(path, 8))
-    values = np.array([row for _, row in rows]).reshape(-1, 8)
-    poses = _poses(values[:, 1:4], values[:, 4:], [where for where, _ in rows])
-    return Trajectory(poses, values[:, 0], str(path))
+    if not is_file(path) and ":" in path.name and is_file(path.with_name(path.name.rpartition(":")[0])):
+        return read_rigid_body(path.with_name(path.name.rpartition(":")[0]), path.name.rpartition(":")[2])
+    text = decode(read_bytes(path))
+    if text.lstrip().startswith("Format Version"):
+        return read_rigid_body(path)
+    return _read_lines(path, text)
+
+
+def read_tum(path: str | Path) -> Trajectory:
+    """Read a TUM trajectory: lines of `stamp tx ty tz qx qy qz qw`, `#` for comments; see `read_trajectory`.
+
+    Raises:
+        InputError: as `read_trajectory`.
+    """
+    return _read_lines(Path(path), decode(read_bytes(path)))
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Which word of a line is what: stamp, x y z, and the quaternion x y z w; with units in seconds and metres."""
+
+    words: tuple[int, ...] = tuple(range(8))
+    stamp_unit: float | None = None
+    length_unit: float = 1.0
+    width: int = 8
+    named: bool = False
+
+
+def _read_lines(path: Path, text: str) -> Trajectory:
+    layout, bad = _Layout(), _BadLines(path)
+    rows: list[tuple[int, list[str]]] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        comment = line.lstrip().startswith(("#", "%", "//"))
+        words = re.sub(r"[,;]", " ", re.sub(r"\s*[\[(]([^\])]*)[\])]", r"[\1]", line.lstrip(" #%/"))).split()
+        if not words or words == ["[]"]:
+            continue
+        if comment or not _are_numbers(words[:1]):
+            layout = (not rows and _layout(path, words)) or layout
+            if not (comment or layout.named):
+                bad.add(number, f"could not convert string to float: '{words[0]}'")
+            continue
+        rows.append((number, words))
+    _check_width(path, rows, layout, "," in text.partition("\n")[2] or "," in text[:400])
+    stamps: list[float] = []
+    values: list[list[float]] = []
+    places: list[str] = []
+    for number, words in rows:
+        try:
+            stamp, numbers = _pose_of_line(words, layout)
+        except ValueError as error:
+            bad.add(number, str(error))
+            continue
+        if stamps and stamp <= stamps[-1]:
+            bad.add(number, f"stamp {stamp:.9f} does not exceed {stamps[-1]:.9f}")
+            continue
+        stamps.append(stamp)
+        values.append(numbers)
+        places.append(f"{path}:{number}")
+    bad.judge(len(stamps))
+    array = np.array(values).reshape(-1, 7)
+    return Trajectory(_poses(array[:, :3], array[:, 3:], places), np.array(stamps, dtype=float), str(path))
+
+
+def _pose_of_line(words: list[str], layout: _Layout) -> tuple[float, list[float]]:
+    """Stamp, and position and quaternion (x y z w), of a line.
+
+    Raises:
+        ValueError: it is no pose; the message says why.
+    """
+    if len(words) < layout.width or (not layout.named and len(words) != layout.width):
+        raise ValueError(f"expected {layout.width} numbers, found {len(words)} words")
+    picked = [words[k] for k in layout.words]
+    numbers = [float(word) for word in picked[1:]]
+    for word, number in zip(picked[1:], numbers, strict=True):
+        if not math.isfinite(number):
+            raise ValueError(f"{word} is not a finite number")
+    stamp = parse_stamp(picked[0]) if layout.stamp_unit is None else float(picked[0]) * layout.stamp_unit
+    if stamp is None or not math.isfinite(stamp):
+        raise ValueError(f"expected a stamp, found '{picked[0]}'")
+    norm = math.sqrt(sum(q * q for q in numbers[3:]))
+    if abs(norm - 1) > NORM_TOLERANCE:
+        raise ValueError(f"quaternion {numbers[3:]} has norm {norm:g}; expected 1")
+    return stamp, [x * layout.length_unit for x in numbers[:3]] + numbers[3:]
+
+
+class _BadLines:
+    """Lines that are left out, and whether they are too many."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.count, self.first = path, 0, ""
+
+    def add(self, line: int, problem: str) -> None:
+        self.count += 1
+        self.first = self.first or f"{self.path}:{line}: {problem}"
+
+    def judge(self, good: int) -> None:
+        if self.count > LARGEST_BAD_SHARE * (self.count + good) and (self.count > 1 or good < FEWEST):
+            raise InputError(self.first)
+        if self.count:
+            log.warning(
+                "%d of %d lines are no pose and left out, the first: %s", self.count, self.count + good, self.first
+            )
+
+
+def _layout(path: Path, words: list[str]) -> _Layout | None:
+    """The layout that names of columns state; None: they are no names of a trajectory's columns.
+
+    Raises:
+        InputError: names of poses without quaternions.
+    """
+    found: dict[str, tuple[int, str]] = {}
+    for k, word in enumerate(words):
+        name, _, unit = word.lower().partition("[")
+        plain = re.sub(r"[^a-z0-9]", "", name)
+        role = next((role for role, names in _NAMES.items() if plain in names), None)
+        if role is not None:
+            found.setdefault(role, (k, unit.rstrip("]")))
+    if {"stamp", "x", "y", "z"} <= found.keys() and not {"qx", "qy", "qz", "qw"} <= found.keys():
+        if {"roll", "pitch", "yaw"} & found.keys():
+            raise InputError(f"{path}: orientations as roll, pitch and yaw; expected quaternions, x y z w")
+        return None
+    if not set(_ORDER) <= found.keys():
+        return None
+    unit = found["stamp"][1]
+    length = METRES.get(found["x"][1] or "m")
+    if length is None:
+        raise InputError(f"{path}: unit of length '{found['x'][1]}'; expected one of {', '.join(METRES)}")
+    indices = tuple(found[role][0] for role in _ORDER)
+    return _Layout(indices, _SECONDS.get(unit), length, max(indices) + 1, True)
+
+
+def _check_width(path: Path, rows: list[tuple[int, list[str]]], layout: _Layout, commas: bool) -> None:
+    """Refuse other forms by name, and an order of the quaternion that nothing tells."""
+    if not rows or layout.named:
+        return
+    number, words = rows[0]
+    if len(words) == 12:
+        raise InputError(f"{path}:{number}: twelve numbers a line are KITTI's poses, which have no stamps; expected "
+                         "'stamp tx ty tz qx qy qz qw'")  # fmt: skip
+    whole = re.fullmatch(r"\d{16,20}", words[0]) is not None
+    if whole and commas and len(words) >= 8:
+        raise InputError(
+            f"{path}:{number}: stamps in nanoseconds, and no line of names that tells whether w is the first or "
+            "the last of the quaternion; expected one, as '#timestamp, p_x, p_y, p_z, q_w, q_x, q_y, q_z'"
+        )
+
+
+def _are_numbers(words: list[str]) -> bool:
+    return all(parse_stamp(word) is not None or word.lower().lstrip("+-") in ("nan", "inf") for word in words)
+
+
+def read_rigid_body(path: str | Path, body: str | None = None) -> Trajectory:
+    """Read the poses of a rigid body in a CSV export of OptiTrack Motive: T_mocap_body, stamps since the capture began.
+
+    Frames in which the body was not seen are left out.
+
+    Args:
+        path: the file.
+        body: its name; None: the only one.
+
+    Raises:
+        InputError: no such body, several and no name, or rotations that are no quaternions.
+    """
+    times, bodies, name = read_motive_bodies(Path(path))
+    if body is None and len(bodies) == 1:
+        (body,) = bodies
+    if body is None or body not in bodies:
+        asked = f"no rigid body '{body}'; " if body is not None else ""
+        raise InputError(f"{path}: {asked}it has {', '.join(bodies) or 'none'}: name one, as {Path(path).name}:NAME")
+    values = bodies[body]
+    seen = np.isfinite(values).all(axis=1)
+    places = [f"{name}, frame {k}" for k in np.flatnonzero(seen)]
+    return Trajectory(_poses(values[seen, :3], values[seen, 3:], places), times[seen], str(path))
 
 
 def write_tum(path: str | Path, trajectory: Trajectory) -> None:

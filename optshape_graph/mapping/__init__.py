@@ -9,8 +9,7 @@ from optshape_graph.mapping.incremental import LandmarkSlam, Outcome
 from optshape_graph.mapping.map import Landmark, Map, load_map, save_map
 from optshape_graph.mapping.merge import merge_maps
 from optshape_graph.mapping.motion import MotionFactor, MotionMeasurement, deskew, estimate_moving, solve_motion
-from optshape_graph.mapping.sighting import Sighting
-from optshape_graph.mapping.track import MappingProblem, Match, Odometry, Start, Track
+from optshape_graph.mapping.track import MappingProblem, Match, Odometry, Sighting, Start, Track
 
 __all__ = [
     "BatchSolution",

@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.factors.summary import Summary, linearise
-from optshape_graph.mapping.sighting import Sighting
+from optshape_graph.mapping.track import Sighting
 from optshape_graph.se3 import adjoint, inverse
 
 CONFIDENCE = 0.999

@@ -3,24 +3,69 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
+from typing import Protocol
 
 import gtsam
 import numpy as np
+from gtsam.symbol_shorthand import B, L, V, X
 
-from optshape_graph._arrays import Floats
-from optshape_graph.errors import EstimationError
+from optshape_graph._arrays import Floats, Value
+from optshape_graph.errors import UnobservableError
 from optshape_graph.factors import summarise
+from optshape_graph.graph import Chain, Chains, Inverse, Solution
 from optshape_graph.io.trajectories import PoseGraph, PoseGraphEdge, Trajectory
 from optshape_graph.mapping.map import Landmark, Map
-from optshape_graph.mapping.track import Keys, MappingProblem
+from optshape_graph.mapping.track import MappingProblem, Match
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class Residual:
+@dataclass(frozen=True, eq=False, repr=False)
+class Keys(Value):
+    """Variables: poses X, landmarks L, as-built vertices V, and the biases B of LiDARs' rings.
+
+    Attributes:
+        poses: of each track.
+        landmarks: by name.
+        shapes: of the landmarks' vertices, by name.
+        biases: by number of the track and name of the LiDAR.
+    """
+
+    poses: tuple[tuple[int, ...], ...]
+    landmarks: Mapping[str, int]
+    shapes: Mapping[str, int]
+    biases: Mapping[tuple[int, str], int]
+
+    @classmethod
+    def of(cls, problem: MappingProblem) -> Keys:
+        """Return the keys of a problem's variables."""
+        offset = np.cumsum([0] + [len(track.stamps) for track in problem.tracks])
+        names = list(problem.T_world_target)
+        lidars = dict.fromkeys((t, match.sighting.lidar) for t, match in problem.matches)
+        return cls(
+            tuple(tuple(X(int(k)) for k in range(a, b)) for a, b in pairwise(offset)),
+            {name: L(k) for k, name in enumerate(names)},
+            {name: V(k) for k, name in enumerate(names)},
+            {lidar: B(k) for k, lidar in enumerate(lidars)},
+        )
+
+    def names(self, problem: MappingProblem) -> dict[int, str]:
+        """Return what messages call each pose and landmark."""
+        names = {key: f"landmark '{name}'" for name, key in self.landmarks.items()}
+        for track, own in zip(problem.tracks, self.poses, strict=True):
+            names |= {key: f"pose {i} of '{track.name}'" for i, key in enumerate(own)}
+        return names
+
+    def chain(self, track: int, match: Match) -> Chain:
+        """Return what T_target_lidar of a match is made of."""
+        return [Inverse(self.landmarks[match.landmark]), self.poses[track][match.pose]]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Residual(Value):
     """How well a match fits.
 
     Attributes:
@@ -38,108 +83,136 @@ class Residual:
     weight: float
 
 
-@dataclass(frozen=True, eq=False)
-class BatchSolution:
+class Judged(Protocol):
+    """A term's model that says how well each of its measurements fits."""
+
+    @property
+    def chi2(self) -> Floats:
+        """(m,) chi-square of each that its own best pose would take away."""
+
+    @property
+    def weight(self) -> Floats:
+        """(m,) weight that the loss gives each."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BatchSolution(Value):
     """A solved map.
 
     Attributes:
         problem: what was solved.
-        values: all variables.
-        error: half the chi-square, exact, robust loss applied.
-        converged: whether a further step would gain nothing.
-        iterations: steps taken.
-        chi2: (K,) of each match, in the order of tracks and matches: see `Residual`.
-        weight: (K,) that the robust loss gives it, a number from 0 to 1.
-        linearise: makes the graph, linearised at the solution.
+        solution: of all variables.
         keys: of the poses of each track, and of the landmarks.
         templates: of the landmarks, their vertices as built where those were refined.
+        judged: the matches of each term, with what the solution's model of it says of them.
     """
 
     problem: MappingProblem
-    values: gtsam.Values
-    error: float
-    converged: bool
-    iterations: int
-    chi2: Floats
-    weight: Floats
-    linearise: Callable[[], gtsam.GaussianFactorGraph]
+    solution: Solution
     keys: Keys
     templates: Mapping[str, Target]
+    judged: Sequence[tuple[Sequence[Match], Judged]]
+
+    def __repr__(self) -> str:
+        poses, landmarks = sum(map(len, self.keys.poses)), len(self.keys.landmarks)
+        state = "converged" if self.converged else "not converged"
+        return f"BatchSolution({poses} poses, {landmarks} landmarks, chi2 {2 * self.error:.4g}, {state})"
+
+    @property
+    def values(self) -> gtsam.Values:
+        """Values of all variables."""
+        return self.solution.values
+
+    @property
+    def error(self) -> float:
+        """Half the chi-square, exact, robust loss applied."""
+        return self.solution.error
+
+    @property
+    def converged(self) -> bool:
+        """Whether a further step would gain nothing."""
+        return self.solution.converged
+
+    @property
+    def iterations(self) -> int:
+        """Number of steps taken."""
+        return self.solution.iterations
 
     def trajectory(self, track: str) -> Trajectory:
         """Return the poses of a session."""
         k = [t.name for t in self.problem.tracks].index(track)
-        poses = np.array([self.values.atPose3(key).matrix() for key in self.keys.poses[k]])
+        poses = self.solution.state.poses(np.array(self.keys.poses[k], np.int64))
         return Trajectory(poses.reshape(-1, 4, 4), self.problem.tracks[k].stamps, track)
 
     @cached_property
     def residuals(self) -> tuple[Residual, ...]:
         """How well each match fits, in the order of tracks and matches."""
-        named = [(track.name, match) for track in self.problem.tracks for match in track.matches]
+        found = {
+            match: (float(chi2), float(weight))
+            for matches, model in self.judged
+            for match, chi2, weight in zip(matches, model.chi2, model.weight, strict=True)
+        }
         return tuple(
-            Residual(track, match.pose, match.landmark, float(x), float(w))
-            for (track, match), x, w in zip(named, self.chi2, self.weight, strict=True)
+            Residual(self.problem.tracks[t].name, match.pose, match.landmark, *found[match])
+            for t, match in self.problem.matches
         )
 
     @property
     def landmarks(self) -> dict[str, Floats]:
         """T_world_target (4, 4) of each landmark."""
-        return {name: self.values.atPose3(key).matrix() for name, key in self.keys.landmarks.items()}
-
-    @cached_property
-    def _marginals(self) -> gtsam.Marginals:
-        return gtsam.Marginals(self.linearise(), self.values)
+        return {name: self.solution.pose(key) for name, key in self.keys.landmarks.items()}
 
     def covariance(self, landmarks: Sequence[str] = (), poses: Sequence[tuple[str, int]] = ()) -> Floats:
         """Return the joint covariance of landmarks and poses (session, number), right perturbations, rotation first.
 
         Raises:
-            EstimationError: something is not determined by what was measured.
+            UnobservableError: something is not determined by what was measured.
         """
         names = [track.name for track in self.problem.tracks]
         keys = [self.keys.landmarks[name] for name in landmarks]
         keys += [self.keys.poses[names.index(track)][number] for track, number in poses]
         try:
-            return np.asarray(self._marginals.jointMarginalCovariance(keys).fullMatrix())
-        except RuntimeError as error:
-            raise EstimationError(f"the map is not determined: {error}") from error
+            return self.solution.covariance(keys)
+        except UnobservableError as error:
+            raise UnobservableError(f"the map is not determined: {error}", error.directions) from error
 
     def map(self) -> Map:
-        """Return the map."""
+        """Return the map.
+
+        Raises:
+            EstimationError: it is not determined by what was measured.
+        """
         names = list(self.keys.landmarks)
-        joint = self.covariance(names) if names else None
-        seen = Counter(match.landmark for track in self.problem.tracks for match in track.matches)
+        joint = self.covariance(names) if names else np.zeros((0, 0))
+        seen = Counter(match.landmark for _, match in self.problem.matches)
         known = {} if self.problem.known is None else {m.id: m.observations for m in self.problem.known.landmarks}
         landmarks = []
         for k, (name, T) in enumerate(self.landmarks.items()):
-            assert joint is not None  # there is a landmark
             block = joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
             landmarks.append(Landmark(name, self.templates[name], T, block, seen[name] + known.get(name, 0)))
         earlier = {} if self.problem.known is None else dict(self.problem.known.trajectories)
-        return Map(tuple(landmarks), joint, earlier | {t.name: self.trajectory(t.name) for t in self.problem.tracks})
+        trajectories = earlier | {t.name: self.trajectory(t.name) for t in self.problem.tracks}
+        return Map(tuple(landmarks), joint if names else None, trajectories)
 
 
 def pose_graph(solution: BatchSolution) -> PoseGraph:
     """Return a solved map as a pose graph, for g2o: poses first, then landmarks; summaries at the solution as edges."""
-    problem, values, keys = solution.problem, solution.values, solution.keys
+    problem, state, keys = solution.problem, solution.solution.state, solution.keys
     order = [key for track in keys.poses for key in track] + list(keys.landmarks.values())
     number = {key: k for k, key in enumerate(order)}
     edges = []
-    for track_keys, track in zip(keys.poses, problem.tracks, strict=True):
+    for own, track in zip(keys.poses, problem.tracks, strict=True):
         for o in track.odometry:
             information = np.asarray(np.linalg.inv(o.covariance), float)
-            edges.append(PoseGraphEdge(number[track_keys[o.i]], number[track_keys[o.j]], o.T_i_j, information))
-        targets = [keys.landmarks[match.landmark] for match in track.matches]
-        lidars = [track_keys[match.pose] for match in track.matches]
-        between = [values.atPose3(a).between(values.atPose3(b)).matrix() for a, b in zip(targets, lidars, strict=True)]
-        summaries = summarise([m.measurement for m in track.matches], np.array(between).reshape(-1, 4, 4))
-        for a, b, summary in zip(targets, lidars, summaries, strict=True):
-            information = summary.sqrt_information.T @ summary.sqrt_information
-            edges.append(PoseGraphEdge(number[a], number[b], summary.T_target_lidar, information))
-    vertices = {k: values.atPose3(key).matrix() for key, k in number.items()}
+            edges.append(PoseGraphEdge(number[own[o.i]], number[own[o.j]], o.T_i_j, information))
+    relative = Chains([keys.chain(t, match) for t, match in problem.matches]).at(state)
+    summaries = summarise([match.measurement for _, match in problem.matches], relative)
+    for (t, match), summary in zip(problem.matches, summaries, strict=True):
+        information = summary.sqrt_information.T @ summary.sqrt_information
+        a, b = number[keys.landmarks[match.landmark]], number[keys.poses[t][match.pose]]
+        edges.append(PoseGraphEdge(a, b, summary.T_target_lidar, information))
     fixed = frozenset(
-        number[track_keys[0]]
-        for track_keys, track in zip(keys.poses, problem.tracks, strict=True)
-        if track.start is not None
+        number[own[0]] for own, track in zip(keys.poses, problem.tracks, strict=True) if track.start is not None
     )
+    vertices = dict(enumerate(state.poses(np.array(order, np.int64))))
     return PoseGraph(vertices, tuple(edges), fixed)

@@ -16,7 +16,7 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.factors.summary import Summary
 from optshape_graph.mapping.association import gate
-from optshape_graph.mapping.sighting import Sighting
+from optshape_graph.mapping.track import Sighting
 from optshape_graph.se3 import adjoint, inverse
 
 RESOLVED = 13.8

@@ -15,11 +15,10 @@ from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping.association import Pairing, associate, gated, plain, predictions
 from optshape_graph.mapping.candidates import MOST_CARRIED, Candidate
-from optshape_graph.mapping.landmark_graph import LandmarkGraph
+from optshape_graph.mapping.incremental_graph import IncrementalGraph
 from optshape_graph.mapping.locate import locate
 from optshape_graph.mapping.map import Map
-from optshape_graph.mapping.sighting import Sighting
-from optshape_graph.mapping.track import MappingProblem, Match, Odometry, Start, Track
+from optshape_graph.mapping.track import MappingProblem, Match, Odometry, Sighting, Start, Track
 from optshape_graph.se3 import PoseLike, adjoint, as_transform, inverse
 from optshape_graph.target import Target
 
@@ -91,7 +90,7 @@ class LandmarkSlam:
         self.counts: Counter[str] = Counter()
         self._known = known if known is not None and known.landmarks else None
         self._start = AT_THE_ORIGIN if start is None and self._known is None else start
-        self._graph = LandmarkGraph(lag)
+        self._graph = IncrementalGraph(lag)
         self._candidates: list[Candidate] = []
         self._floating = False
         self._stamps: list[float] = []

@@ -14,9 +14,10 @@ from optshape_graph.errors import InputError
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.sessions import Session
-from optshape_graph.mapping.motion import twist_between
-from optshape_graph.scan import Scan
-from optshape_graph.se3 import PoseLike, angle, as_transform, exp, inverse
+from optshape_graph.mapping.odometry import OdometryTrack
+from optshape_graph.mapping.sweep import Sweep
+from optshape_graph.scan import Scan, rings_missing
+from optshape_graph.se3 import angle, inverse
 
 
 @dataclass(frozen=True)
@@ -39,64 +40,12 @@ class KeyframePolicy:
         return bool(moved >= self.distance or angle(motion) >= self.angle or seconds >= self.seconds)
 
 
-@dataclass(frozen=True)
-class MotionNoise:
-    """Standard deviations of odometry: what it drifts by, each axis, per square root of what it has gone.
-
-    Attributes:
-        metres: per square root of a metre, metres.
-        radians: per square root of a metre, rad.
-        metres_at_rest: per square root of a second, metres.
-        radians_at_rest: per square root of a second, rad.
-    """
-
-    metres: float = 0.02
-    radians: float = np.radians(0.2)
-    metres_at_rest: float = 0.005
-    radians_at_rest: float = np.radians(0.1)
-
-    def covariance(self, distance: float, seconds: float) -> Floats:
-        """(6, 6) of a motion over a distance, metres, and a time, rotation first."""
-        rotation = self.radians**2 * distance + self.radians_at_rest**2 * seconds
-        translation = self.metres**2 * distance + self.metres_at_rest**2 * seconds
-        return np.diag([rotation] * 3 + [translation] * 3)
+HALF_REVOLUTION = 0.05
+"""Seconds before and after the stamp of a scan whose returns have no times: over those its motion is looked at."""
 
 
-class OdometryTrack:
-    """Poses over time, asked for in order of time, and forgotten when they have passed.
-
-    Args:
-        poses: T_odometry_body (4, 4) in order of time.
-        T_body_lidar: (4, 4) of the LiDAR on the body; None: they are one.
-
-    Attributes:
-        T_body_lidar: (4, 4) of the LiDAR on the body that the poses are of.
-    """
-
-    def __init__(self, poses: Iterable[Stamped[Floats]], T_body_lidar: PoseLike | None = None) -> None:
-        self.T_body_lidar = np.eye(4) if T_body_lidar is None else as_transform(T_body_lidar, "T_body_lidar")
-        self._poses = iter(poses)
-        self._window: list[Stamped[Floats]] = []
-
-    def at(self, stamp: float) -> tuple[Floats, Floats] | None:
-        """Return T_odometry_lidar (4, 4) and the LiDAR's twist (6,) at a time; None where no poses are around it.
-
-        Between two poses the motion is of constant twist.
-        """
-        while len(self._window) < 2 or self._window[-1].stamp < stamp:
-            following = next(self._poses, None)
-            if following is None:
-                break
-            self._window.append(following)
-            while len(self._window) > 2 and self._window[1].stamp <= stamp:
-                del self._window[0]
-        for before, after in zip(self._window[:-1], self._window[1:], strict=True):
-            if before.stamp <= stamp <= after.stamp:
-                step = inverse(before.value @ self.T_body_lidar) @ after.value @ self.T_body_lidar
-                twist = twist_between(step, after.stamp - before.stamp)
-                moved = exp((stamp - before.stamp) * twist)
-                return before.value @ self.T_body_lidar @ moved, twist
-        return None
+NO_ODOMETRY = "no odometry at its time"
+"""Why a scan is skipped that the odometry does not reach."""
 
 
 class Keyframe(NamedTuple):
@@ -105,15 +54,13 @@ class Keyframe(NamedTuple):
     Attributes:
         stamp: seconds.
         scan: as recorded.
-        T_odometry_lidar: (4, 4) at the stamp; None: no odometry.
-        twist: (6,) of the LiDAR, rotation first, rad/s and m/s.
+        sweep: motion of the LiDAR about it; None: no odometry.
         distance: metres gone since the keyframe before.
     """
 
     stamp: float
     scan: Scan
-    T_odometry_lidar: Floats | None
-    twist: Floats
+    sweep: Sweep | None
     distance: float
 
 
@@ -125,13 +72,19 @@ class Progress:
         scans: read.
         keyframes: of those used.
         sightings: targets seen in them.
+        landmarks: in the map.
         skipped: scans that were not used though they should have been, by reason.
+        span: seconds, of the first and the last scan read; None before there is one.
+        expected: number of scans that the recording says there are, or None.
     """
 
     scans: int = 0
     keyframes: int = 0
     sightings: int = 0
+    landmarks: int = 0
     skipped: Counter[str] = field(default_factory=Counter)
+    span: tuple[float, float] | None = None
+    expected: int | None = None
 
 
 def keyframes(
@@ -141,34 +94,47 @@ def keyframes(
 
     Without odometry every scan that the policy's time allows is one. A scan before the odometry begins or after it
     ends is skipped and counted.
+
+    Raises:
+        InputError: the first scan has no rings: no target would be found.
     """
     last: tuple[float, Floats] | None = None
     before: Floats | None = None
     distance = 0.0
     for stamp, scan in ((item.stamp, item.value) for item in scans):
         progress.scans += 1
+        progress.span = (stamp if progress.span is None else progress.span[0], stamp)
         if not len(scan):
             progress.skipped["empty"] += 1
             continue
+        if scan.ring is None and not progress.keyframes:
+            raise rings_missing(scan)
         if odometry is None:
             if last is None or not np.isfinite(policy.seconds) or stamp - last[0] >= policy.seconds:
                 last = stamp, np.eye(4)
                 progress.keyframes += 1
-                yield Keyframe(stamp, scan, None, np.zeros(6), 0.0)
+                yield Keyframe(stamp, scan, None, 0.0)
             continue
-        found = odometry.at(stamp)
-        if found is None:
-            progress.skipped["no odometry at its time"] += 1
+        sweep = odometry.sweep(stamp, *_spread(scan))
+        if sweep is None:
+            progress.skipped[NO_ODOMETRY] += 1
             continue
-        T, twist = found
+        T = sweep.T_odometry_lidar
         if before is not None:
             distance += float(np.linalg.norm(T[:3, 3] - before[:3, 3]))
         before = T
         if last is None or policy.wants(inverse(last[1]) @ T, stamp - last[0]):
             last = stamp, T
             progress.keyframes += 1
-            yield Keyframe(stamp, scan, T, twist, distance)
+            yield Keyframe(stamp, scan, sweep, distance)
             distance = 0.0
+
+
+def _spread(scan: Scan) -> tuple[float, float]:
+    """The times of the first and the last return, seconds from the stamp."""
+    if scan.time is None:
+        return -HALF_REVOLUTION, HALF_REVOLUTION
+    return float(scan.time.min()), float(scan.time.max())
 
 
 def session_scans(session: Session, skipped: Skipped) -> Iterator[Stamped[Scan]]:

@@ -9,7 +9,7 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.mapping.association import Pairing, associate, gated, predictions
 from optshape_graph.mapping.map import Map
-from optshape_graph.mapping.sighting import Sighting
+from optshape_graph.mapping.track import Sighting
 from optshape_graph.se3 import adjoint, difference, inverse
 
 SAME_PLACE = 0.3

@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen, shortened
 from optshape_graph.errors import InputError
-from optshape_graph.io.documents import Node, read_document, write_json
+from optshape_graph.io.documents import Node, read_document
+from optshape_graph.io.results import Result, Row
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.se3 import apply, as_transform
 from optshape_graph.target import Target
@@ -24,8 +25,8 @@ from optshape_graph.target import Target
 SCHEMA = "optshape/map/1"
 
 
-@dataclass(frozen=True, eq=False)
-class Landmark:
+@dataclass(frozen=True, eq=False, repr=False)
+class Landmark(Value):
     """A target that stands somewhere.
 
     Attributes:
@@ -54,9 +55,15 @@ class Landmark:
         """(n, 3) vertices, world frame, metres."""
         return apply(self.T_world_target, self.target.vertices)
 
+    @property
+    def position(self) -> tuple[float, float, float]:
+        """x, y, z of the target's origin in the world, metres."""
+        x, y, z = self.T_world_target[:3, 3].tolist()
+        return x, y, z
 
-@dataclass(frozen=True, eq=False)
-class Map:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Map(Result):
     """Landmarks, and where they were seen from.
 
     Attributes:
@@ -67,6 +74,8 @@ class Map:
     Raises:
         InputError: two landmarks of one name, or a covariance that does not fit.
     """
+
+    FORM: ClassVar[str] = "map"
 
     landmarks: tuple[Landmark, ...]
     joint_covariance: Floats | None = None
@@ -101,42 +110,75 @@ class Map:
                 return landmark
         raise KeyError(name)
 
+    def __repr__(self) -> str:
+        names = ", ".join(landmark.id for landmark in self.landmarks[:5]) + (", ..." if len(self.landmarks) > 5 else "")
+        poses = sum(len(trajectory) for trajectory in self.trajectories.values())
+        return shortened(f"Map({len(self.landmarks)} landmarks: {names or 'none'}; {poses} poses)")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the map as plain data of its JSON form.
+
+        Raises:
+            InputError: a trajectory without stamps.
+        """
+        only = next(iter(self.trajectories)) if len(self.trajectories) == 1 else ""
+        joint = {} if self.joint_covariance is None else {"joint_covariance": self.joint_covariance.tolist()}
+        return {
+            "schema": SCHEMA,
+            "targets": {landmark.id: {"vertices": landmark.target.vertices.tolist()} for landmark in self.landmarks},
+            "landmarks": [
+                {
+                    "id": landmark.id,
+                    "target": landmark.target.name,
+                    "T_world_target": landmark.T_world_target.tolist(),
+                    "covariance": landmark.covariance.tolist(),
+                    "vertices": landmark.vertices.tolist(),
+                    "observations": landmark.observations,
+                }
+                for landmark in self.landmarks
+            ],
+            **joint,
+            **({"session": only} if only else {}),
+            "trajectory": [
+                {**({} if only else {"session": name}), "stamp": stamp, "T_world_lidar": T.tolist()}
+                for name, trajectory in self.trajectories.items()
+                for stamp, T in zip(_stamps(trajectory), trajectory.poses, strict=True)
+            ],
+        }
+
+    def rows(self) -> list[Row]:
+        """Return a row for each landmark."""
+        return [
+            {
+                "landmark": one.id, "target": one.target.name,
+                "x_m": one.position[0], "y_m": one.position[1], "z_m": one.position[2],
+                "sd_mm": 1e3 * float(np.sqrt(np.diag(one.covariance)[3:].max())),
+                "sd_deg": float(np.degrees(np.sqrt(np.diag(one.covariance)[:3].max()))),
+                "observations": one.observations,
+            }
+            for one in self.landmarks
+        ]  # fmt: skip
+
+    @classmethod
+    def load(cls, path: str | Path) -> Map:
+        """Read a map, whoever wrote it; see `load_map`.
+
+        Args:
+            path: of the file.
+        """
+        return load_map(path)
+
+    def _document(self) -> dict[str, Any]:
+        return self.to_dict()
+
 
 def save_map(path: str | Path, result: Map) -> None:
-    """Write a map as JSON."""
-    write_json(path, map_document(result))
-
-
-def map_document(result: Map) -> dict[str, Any]:
-    """Return a map as plain data of the schema.
+    """Write a map as JSON, as `Map.save` does.
 
     Raises:
-        InputError: a trajectory without stamps.
+        InputError: a trajectory without stamps, or the file cannot be written.
     """
-    only = next(iter(result.trajectories)) if len(result.trajectories) == 1 else ""
-    joint = {} if result.joint_covariance is None else {"joint_covariance": result.joint_covariance}
-    return {
-        "schema": SCHEMA,
-        "targets": {landmark.id: {"vertices": landmark.target.vertices} for landmark in result.landmarks},
-        "landmarks": [
-            {
-                "id": landmark.id,
-                "target": landmark.target.name,
-                "T_world_target": landmark.T_world_target,
-                "covariance": landmark.covariance,
-                "vertices": landmark.vertices,
-                "observations": landmark.observations,
-            }
-            for landmark in result.landmarks
-        ],
-        **joint,
-        **({"session": only} if only else {}),
-        "trajectory": [
-            {**({} if only else {"session": name}), "stamp": stamp, "T_world_lidar": T}
-            for name, trajectory in result.trajectories.items()
-            for stamp, T in zip(_stamps(trajectory), trajectory.poses, strict=True)
-        ],
-    }
+    result.save(path)
 
 
 def load_map(path: str | Path) -> Map:

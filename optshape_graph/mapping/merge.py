@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import gtsam
 import numpy as np
+from gtsam.symbol_shorthand import E, L
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.graph import Chain, Chains, Inverse, JointPoses, solve
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping.map import Landmark, Map
-from optshape_graph.mapping.priors import sqrt_information
-from optshape_graph.se3 import adjoint, difference, exp, inverse, inverse_covariance, inverse_right_jacobian
-
-MAX_ITERATIONS = 30
-"""Gauss-Newton steps at most."""
-
-CONVERGED = 1e-9
-"""Largest component of a step, rad or metres, with which it ends."""
+from optshape_graph.mapping.smoother import sqrt_information
+from optshape_graph.se3 import adjoint, inverse, inverse_covariance
 
 
 def merge_maps(a: Map, b: Map) -> Map:
@@ -41,26 +39,25 @@ def merge_maps(a: Map, b: Map) -> Map:
         raise InputError(f"both maps have a session '{min(same)}'")
     T_a_b, b = _aligned(a, b)
     names = list(dict.fromkeys([landmark.id for landmark in (*a.landmarks, *b.landmarks)]))
+    keys = {name: L(k) for k, name in enumerate(names)}
+    values = gtsam.Values()
+    values.insert(E(0), gtsam.Pose3(T_a_b))
     poses = {landmark.id: T_a_b @ landmark.T_world_target for landmark in b.landmarks}
     poses |= {landmark.id: landmark.T_world_target for landmark in a.landmarks}
-    R_a, R_b = sqrt_information(a.covariance), sqrt_information(b.covariance)
-    size = 6 * len(names)
-    for _ in range(MAX_ITERATIONS):
-        J_a, e_a = _rows(a, names, poses, np.eye(4))
-        J_b, e_b = _rows(b, names, poses, T_a_b)
-        # The first map's frame is the world: only the second one's moves.
-        J = np.vstack([R_a @ J_a[:, :size] @ np.eye(size, size + 6), R_b @ J_b])
-        step = -np.linalg.lstsq(J, np.concatenate([R_a @ e_a, R_b @ e_b]), rcond=None)[0]
-        poses = {name: poses[name] @ exp(step[6 * k : 6 * k + 6]) for k, name in enumerate(names)}
-        T_a_b = T_a_b @ exp(step[size:])
-        if np.abs(step).max() < CONVERGED:
-            break
-    else:
-        raise EstimationError(f"merging the maps did not converge within {MAX_ITERATIONS} iterations")
-    joint = np.linalg.inv(J.T @ J)[:size, :size]
-    joint = 0.5 * (joint + joint.T)
+    for name, T in poses.items():
+        values.insert(keys[name], gtsam.Pose3(T))
+    # The first map's frame is the world: only the second one's moves.
+    solution = solve(values, [_measured(a, [[keys[m.id]] for m in a.landmarks]),
+                              _measured(b, [[Inverse(E(0)), keys[m.id]] for m in b.landmarks])])  # fmt: skip
+    if not solution.converged:
+        raise EstimationError("merging the maps did not converge")
+    T_a_b, joint = solution.pose(E(0)), solution.covariance(list(keys.values()))
     moved = {name: Trajectory(T_a_b @ t.poses, t.stamps, t.name) for name, t in b.trajectories.items()}
-    return Map(_landmarks(a, b, names, poses, joint), joint, {**a.trajectories, **moved})
+    return Map(
+        _landmarks(a, b, {name: solution.pose(key) for name, key in keys.items()}, joint),
+        joint,
+        {**a.trajectories, **moved},
+    )
 
 
 def _aligned(a: Map, b: Map) -> tuple[Floats, Map]:
@@ -99,25 +96,17 @@ def _turned_covariance(b: Map, named: list[Landmark]) -> Floats:
     return J @ b.covariance @ J.T
 
 
-def _rows(measured: Map, names: list[str], poses: dict[str, Floats], T_a_m: Floats) -> tuple[Floats, Floats]:
-    """Residuals Log(M_hat^-1 T_a_m^-1 X) of a map's landmarks, and their derivatives by all landmarks and T_a_m."""
-    J = np.zeros((6 * len(measured.landmarks), 6 * len(names) + 6))
-    e = np.zeros(len(J))
-    for i, landmark in enumerate(measured.landmarks):
-        seen = inverse(T_a_m) @ poses[landmark.id]
-        xi = difference(landmark.T_world_target, seen)
-        rows, k = slice(6 * i, 6 * i + 6), names.index(landmark.id)
-        e[rows] = xi
-        J[rows, 6 * k : 6 * k + 6] = inverse_right_jacobian(xi)
-        J[rows, -6:] = -inverse_right_jacobian(xi) @ adjoint(inverse(seen))
-    return J, e
+def _measured(measured: Map, chains: Sequence[Chain]) -> JointPoses:
+    """A map as a joint measurement of poses, each a chain."""
+    poses = np.array([landmark.T_world_target for landmark in measured.landmarks])
+    return JointPoses(Chains(chains), poses, sqrt_information(measured.covariance))
 
 
-def _landmarks(a: Map, b: Map, names: list[str], poses: dict[str, Floats], joint: Floats) -> tuple[Landmark, ...]:
+def _landmarks(a: Map, b: Map, poses: Mapping[str, Floats], joint: Floats) -> tuple[Landmark, ...]:
     merged = []
-    for k, name in enumerate(names):
+    for k, (name, T) in enumerate(poses.items()):
         found = [landmark for landmark in (*a.landmarks, *b.landmarks) if landmark.id == name]
         block = joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
         observations = sum(landmark.observations for landmark in found)
-        merged.append(Landmark(name, found[0].target, poses[name], block, observations))
+        merged.append(Landmark(name, found[0].target, T, block, observations))
     return tuple(merged)

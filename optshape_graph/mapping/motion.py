@@ -15,24 +15,33 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.graph import Chains, Inverse, Solution, State, add_rows, solve
+from optshape_graph.mapping.sweep import Sweep
 from optshape_graph.pose import PoseEstimate, estimate_pose
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import PoseLike, adjoint, as_matrix, inverse, log, skew
+from optshape_graph.se3 import (
+    PoseLike,
+    adjoint,
+    as_matrix,
+    exp,
+    inverse,
+    inverse_right_jacobian,
+    log,
+    right_jacobian,
+    skew,
+)
 from optshape_graph.target import Target
 
 MAX_ITERATIONS = 20
-"""How often `solve_motion` makes its factors again at most."""
+"""How often `solve_motion` makes its measurements again at most."""
 
 STALE_M = 1e-4
 """A measurement is made again with a new twist if that moves one of its returns by this, metres."""
 
 SETTLING = 6
-"""Iterations from which on a measurement may be twice as stale in each as in the one before."""
-
-CONVERGED = 1e-7
-"""Largest component of a step, rad or metres, with which it ends."""
+"""After this many times the allowed staleness of a measurement doubles each time."""
 
 
 def twist_between(T_a_b: PoseLike, seconds: float) -> Floats:
@@ -40,30 +49,32 @@ def twist_between(T_a_b: PoseLike, seconds: float) -> Floats:
     return log(as_matrix(T_a_b)) / seconds
 
 
-def deskew(scan: Scan, twist: Floats, at: float = 0.0) -> Scan:
+def deskew(scan: Scan, motion: Floats | Sweep, at: float = 0.0) -> Scan:
     """Bring all returns to the LiDAR's frame at one time.
 
     Args:
         scan: with the time of each return.
-        twist: (6,) constant, rotation first, rad/s and m/s, LiDAR frame.
+        motion: of the LiDAR: a constant twist (6,), rotation first, rad/s and m/s, in its own frame; or a `Sweep`.
         at: seconds, relative to the scan's stamp.
 
     Raises:
         InputError: the scan has no times.
     """
-    return replace(scan, points=_moved(scan.points, _times(scan) - at, twist))
+    if isinstance(motion, Sweep):
+        return replace(scan, points=motion.straighten(scan.points, _times(scan), at))
+    return replace(scan, points=_moved(scan.points, _times(scan) - at, motion))
 
 
-def estimate_moving(returns: Scan, target: Target, twist: Floats) -> tuple[PoseEstimate, float]:
-    """Estimate a target's pose from returns taken while moving with a known twist.
+def estimate_moving(returns: Scan, target: Target, motion: Floats | Sweep) -> tuple[PoseEstimate, float]:
+    """Estimate a target's pose from returns taken while moving in a known way.
 
     A target is hit within milliseconds, so its returns are brought to the mean of their own times: the rings stay what
-    they are, and an error of the twist hardly matters there.
+    they are, and an error of the motion hardly matters there.
 
     Args:
         returns: on the target, with times.
         target: the template.
-        twist: (6,) rotation first, rad/s and m/s, LiDAR frame.
+        motion: as of `deskew`.
 
     Returns:
         The estimate of T_lidar_target at a time, and that time, seconds, relative to the scan's stamp.
@@ -75,11 +86,11 @@ def estimate_moving(returns: Scan, target: Target, twist: Floats) -> tuple[PoseE
     if not len(returns):
         raise EstimationError(f"{returns.name}: no returns on the target")
     at = float(_times(returns).mean())
-    return estimate_pose(deskew(returns, twist, at), target), at
+    return estimate_pose(deskew(returns, motion, at), target), at
 
 
-@dataclass(frozen=True, eq=False)
-class MotionMeasurement:
+@dataclass(frozen=True, eq=False, repr=False)
+class MotionMeasurement(Value):
     """One target in one scan taken while moving, measured at one twist.
 
     Attributes:
@@ -142,6 +153,82 @@ class MotionMeasurement:
         return self.of(self.returns, self.estimate.target, twist, self.start, self.end)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Moving(Value):
+    """Measurements taken while moving, as a term: each of H = T_target_world X_s Exp(s xi), xi = Log(X_s^-1 X_e).
+
+    Attributes:
+        measurements: of one target in one scan each.
+        ends: X_s^-1 X_e, the motion within each scan.
+        chains: T_target_world X_s.
+        keys: of T_world_target, and of T_world_lidar at the scan's start and at its end, of each measurement.
+    """
+
+    measurements: tuple[MotionMeasurement, ...]
+    ends: Chains
+    chains: Chains
+    keys: tuple[tuple[int, int, int], ...]
+
+    @classmethod
+    def of(cls, measurements: Sequence[tuple[MotionMeasurement, int, int, int]]) -> Moving:
+        """Return the term of measurements, each with the keys of the target and of the scan's start and end."""
+        keys = tuple((target, start, end) for _, target, start, end in measurements)
+        return cls(
+            tuple(measurement for measurement, *_ in measurements),
+            Chains([[Inverse(start), end] for _, start, end in keys]),
+            Chains([[Inverse(target), start] for target, start, _ in keys]),
+            keys,
+        )
+
+    def motions(self, state: State) -> Floats:
+        """Return the motion (m, 4, 4) within each scan."""
+        return self.ends.at(state)
+
+    def at(self, state: State) -> MovingModel:
+        """Return residuals and derivatives at a state."""
+        s = np.array([measurement.fraction for measurement in self.measurements])
+        ends = self.ends.at(state)
+        xi = log(ends)
+        T_start_at = exp(s[:, None] * xi)
+        H = self.chains.at(state) @ T_start_at
+        templates = [measurement.estimate.measurement for measurement in self.measurements]
+        residual = np.array([template.residual(T) for template, T in zip(templates, H, strict=True)])
+        by_H = np.array([template.jacobian(T) for template, T in zip(templates, H, strict=True)])
+        # Exp(s xi) moves by s J_r(s xi) dxi; X_e moves xi by J_r^-1(xi), and X_s by -J_r^-1(xi) Ad((X_s^-1 X_e)^-1).
+        by_end = by_H @ (s[:, None, None] * right_jacobian(s[:, None] * xi) @ inverse_right_jacobian(xi))
+        by_start = by_H @ adjoint(inverse(T_start_at)) - by_end @ adjoint(inverse(ends))
+        by_target = -by_H @ adjoint(inverse(H))
+        floor = sum(template.c**2 for template in templates)
+        return MovingModel(self.keys, residual, (by_target, by_start, by_end), floor)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MovingModel(Value):
+    """Residuals of measurements taken while moving, and their derivatives, at a state.
+
+    Attributes:
+        keys: of each measurement's target, start and end.
+        residual: (m, 12) whitened.
+        by: (m, 12, 6) rows by the target, by the start and by the end.
+        floor: chi-square that no pose takes away.
+    """
+
+    keys: tuple[tuple[int, int, int], ...]
+    residual: Floats
+    by: tuple[Floats, Floats, Floats]
+    floor: float
+
+    @property
+    def error(self) -> float:
+        """Half the chi-square."""
+        return 0.5 * float(np.square(self.residual).sum()) + 0.5 * self.floor
+
+    def add_to(self, linear: gtsam.GaussianFactorGraph) -> None:
+        """Add the linearisation to a graph."""
+        for keys, r, *blocks in zip(self.keys, self.residual, *self.by, strict=True):
+            add_rows(linear, keys, blocks, -r)
+
+
 def MotionFactor(
     measurement: MotionMeasurement, k_target: int, k_start: int, k_end: int, values: gtsam.Values
 ) -> gtsam.LinearContainerFactor:
@@ -156,63 +243,43 @@ def MotionFactor(
         k_end: key of T_world_lidar at its end.
         values: where to linearise; make the factor again when they have changed.
     """
-    start, end, target = values.atPose3(k_start), values.atPose3(k_end), values.atPose3(k_target)
-    T_start_end = start.between(end)
-    xi, s = gtsam.Pose3.Logmap(T_start_end), measurement.fraction
-    T_start_at = gtsam.Pose3.Expmap(s * xi)
-    H = target.between(start.compose(T_start_at)).matrix()
-    template = measurement.estimate.measurement
-    by_H = template.jacobian(H)
-    # Exp(s xi) moves by s J_r(s xi) dxi; X_e moves xi by J_r^-1(xi), and X_s by -J_r^-1(xi) Ad((X_s^-1 X_e)^-1).
-    by_end = by_H @ (s * gtsam.Pose3.ExpmapDerivative(s * xi) @ gtsam.Pose3.LogmapDerivative(xi))
-    by_start = by_H @ adjoint(inverse(T_start_at.matrix())) - by_end @ adjoint(inverse(T_start_end.matrix()))
-    by_target = -by_H @ adjoint(inverse(H))
-    unit = gtsam.noiseModel.Unit.Create(12)
-    residual = template.residual(H)
-    linear = gtsam.JacobianFactor(k_target, by_target, k_start, by_start, k_end, by_end, -residual, unit)
-    at = gtsam.Values()
-    for key, pose in ((k_target, target), (k_start, start), (k_end, end)):
-        at.insert(key, pose)
-    return gtsam.LinearContainerFactor(linear, at)
+    at, linear = gtsam.Values(), gtsam.GaussianFactorGraph()
+    for key in (k_target, k_start, k_end):
+        at.insert(key, values.atPose3(key))
+    Moving.of([(measurement, k_target, k_start, k_end)]).at(State.of(at)).add_to(linear)
+    return gtsam.LinearContainerFactor(linear.at(0), at)
 
 
 def solve_motion(
     measurements: Sequence[tuple[MotionMeasurement, int, int, int]],
     others: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
-) -> tuple[gtsam.Values, gtsam.GaussianFactorGraph]:
-    """Solve a graph with motion factors, made again in every iteration: Gauss-Newton.
+) -> Solution:
+    """Solve a graph with measurements taken while moving, made again with the twist found until they stay the same.
 
     Args:
         measurements: each with the keys of the target and of the scan's start and end.
         others: what else there is: odometry, priors.
         values: initial.
 
-    Returns:
-        The solution, and the graph linearised there, of which marginals can be taken.
-
     Raises:
-        EstimationError: the graph does not determine the variables, or it does not converge.
+        EstimationError: a measurement can't be made with the twist found, or they don't come to rest.
     """
-    current = list(measurements)
+    term = Moving.of(measurements)
+    solution: Solution | None = None
     for iteration in range(MAX_ITERATIONS):
         # A ring end near a vertex may go from one edge to the other and back for ever: what is made again has to rest.
         stale = STALE_M * 2.0 ** max(0, iteration - SETTLING)
-        graph = gtsam.NonlinearFactorGraph(others)
-        for k, (measurement, k_target, k_start, k_end) in enumerate(current):
-            motion = values.atPose3(k_start).between(values.atPose3(k_end)).matrix()
-            again = measurement.with_twist(twist_between(motion, measurement.end - measurement.start), stale)
-            current[k] = again, k_target, k_start, k_end
-            graph.push_back(MotionFactor(again, k_target, k_start, k_end, values))
-        linear = graph.linearize(values)
-        try:
-            step = linear.optimize()
-        except RuntimeError as error:
-            raise EstimationError(f"poses and targets are not determined: {error}") from error
-        values = values.retract(step)
-        if np.abs(step.vector()).max() < CONVERGED:
-            return values, linear
-    raise EstimationError(f"no convergence within {MAX_ITERATIONS} iterations")
+        again = tuple(
+            measurement.with_twist(twist_between(motion, measurement.end - measurement.start), stale)
+            for measurement, motion in zip(term.measurements, term.motions(State.of(values)), strict=True)
+        )
+        if solution is not None and again == term.measurements:  # the very same
+            return solution
+        term = replace(term, measurements=again)
+        solution = solve(values, [term], others)
+        values = solution.values
+    raise EstimationError(f"measurements are still made again after {MAX_ITERATIONS} times")
 
 
 def _times(scan: Scan) -> Floats:

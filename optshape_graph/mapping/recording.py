@@ -1,162 +1,169 @@
-"""A recording as landmark SLAM sees it: scans become sightings at keyframes, poses become odometry between them."""
+"""From a recording to a map: scans become sightings at keyframes, poses become odometry between them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import suppress
-from functools import partial
-from multiprocessing import get_context
-from typing import NamedTuple
-
-import numpy as np
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
 from optshape_graph._arrays import Floats
-from optshape_graph.detection import detect_targets
-from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.errors import InputError
+from optshape_graph.io.recordings import Recording, Skipped, Stamped
+from optshape_graph.io.recordings.topics import Mounting
+from optshape_graph.io.sessions import Session, load_session
+from optshape_graph.io.trajectories import Trajectory, read_tum
+from optshape_graph.mapping.batch import solve_batch
+from optshape_graph.mapping.batch_solution import BatchSolution
 from optshape_graph.mapping.incremental import LandmarkSlam
-from optshape_graph.mapping.keyframes import (
-    Keyframe,
-    KeyframePolicy,
-    MotionNoise,
-    OdometryTrack,
-    Progress,
-    keyframes,
-    session_scans,
-)
-from optshape_graph.mapping.motion import deskew, estimate_moving
-from optshape_graph.mapping.shapes import shape_measurement
-from optshape_graph.mapping.sighting import Sighting
-from optshape_graph.pose import PoseEstimate
+from optshape_graph.mapping.keyframes import NO_ODOMETRY, Keyframe, KeyframePolicy, Progress, keyframes, session_scans
+from optshape_graph.mapping.map import Map
+from optshape_graph.mapping.observe import Observed, observe, observe_all
+from optshape_graph.mapping.odometry import OdometryTrack
+from optshape_graph.mapping.sweep import MotionNoise
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import exp, inverse
+from optshape_graph.se3 import PoseLike, as_transform, inverse
+from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 __all__ = [
-    "Keyframe", "KeyframePolicy", "MotionNoise", "Observed", "OdometryTrack", "Progress", "build_map", "keyframes",
-    "observe", "observe_all", "session_scans",
+    "Keyframe", "KeyframePolicy", "MapResult", "MotionNoise", "Observed", "OdometryTrack", "Progress", "build_map",
+    "keyframes", "map_recording", "observe", "observe_all", "session_scans",
 ]  # fmt: skip
 
-SLOW = np.array([0.01] * 3 + [0.02] * 3)
-"""Twist, rad/s and m/s, below which a scan counts as taken at rest: a millimetre in half a revolution."""
+MANY = 60
+"""Scans from which on several processes are worth their start."""
 
-OFF_ITS_RING = 0.25
-"""Share of the gap between rings by which deskewing may lift returns off their elevation: with less the estimate is the
-same to a fraction of its standard deviation (0.15, root mean square); with more it takes one at the target's own time,
-in whose frame rings are where they were fired."""
-
-AHEAD = 2
-"""Scans that each worker has waiting: more would only take memory."""
+MOST_LOST = 0.5
+"""Share of the scans that may be lost before a map is not to be trusted to show what was there."""
 
 
-class Observed(NamedTuple):
-    """What was seen at a keyframe.
+@dataclass(frozen=True, eq=False)
+class MapResult:
+    """What a recording has come to.
 
     Attributes:
-        stamp: seconds.
-        T_odometry_lidar: (4, 4) at the stamp; None: no odometry.
-        distance: gone since the keyframe before, metres.
-        sightings: of targets.
-        failure: why the scan could not be used, else empty.
+        map: the landmarks, and the trajectory under the session's name.
+        session: name of the session.
+        solution: of everything at once; None: it was not asked for, or there is nothing to solve for.
+        counts: of sightings, by what became of them.
+        progress: of the run: scans, keyframes, sightings, and scans skipped by reason.
+        skipped: messages of the recording that could not be used, by reason.
+        mounting: where the LiDAR is on the body that the odometry is of, as the recording has it; None: it was given,
+            or there is no odometry.
+        warnings: what was taken for granted, in words.
+        problems: why the map is not to be trusted, in words; empty: nothing says so.
     """
 
-    stamp: float
-    T_odometry_lidar: Floats | None
-    distance: float
-    sightings: tuple[Sighting, ...]
-    failure: str
+    map: Map
+    session: str
+    solution: BatchSolution | None
+    counts: Mapping[str, int]
+    progress: Progress
+    skipped: Skipped
+    mounting: Mounting | None = None
+    warnings: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        state = "" if not self.problems else f", {len(self.problems)} problems"
+        return f"MapResult({len(self.map.landmarks)} landmarks, {len(self.trajectory)} poses{state})"
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """T_world_lidar over time."""
+        return self.map.trajectories[self.session]
 
 
-def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: bool, biases: bool = True) -> Observed:
-    """Find the targets in a keyframe's scan, moved to the scan's stamp.
+@dataclass(eq=False)
+class _Source:
+    """What is mapped: a recording or a session, opened."""
 
-    A scan with times is deskewed: whatever the LiDAR did in between is a known motion. Outlines are straight then; but
-    where the motion lifts returns off their rings, poses are estimated at each target's own time.
+    name: str
+    scans: Iterable[Stamped[Scan]]
+    expected: int | None
+    skipped: Callable[[], Skipped]
+    targets: Sequence[Target]
+    poses: Iterable[Stamped[Floats]] | None = None
+    mounting: Mounting | None = None
+    warnings: list[str] = field(default_factory=list)
+
+
+def map_recording(
+    recording: str | Path | Recording | Session,
+    targets: Target | Sequence[Target] = (),
+    sensor: SensorModel | None = None,
+    *,
+    scans: str | None = None,
+    odometry: str | Path | Trajectory | None = None,
+    mounting: PoseLike | None = None,
+    clock_offset: float = 0.0,
+    known: Map | None = None,
+    one_each: bool = False,
+    keyframe: KeyframePolicy | None = None,
+    noise: MotionNoise | None = None,
+    confirmations: int | None = None,
+    lag: float | None = None,
+    batch: bool = True,
+    as_built_sigma: float | None = None,
+    workers: int | None = None,
+    report: Callable[[Progress], None] | None = None,
+) -> MapResult:
+    """Map the targets that a recording saw, and where it saw them from.
+
+    Scans are placed by odometry, and by what they have in common with others; without odometry, by that alone. Scans
+    that cannot be used are skipped with a reason and counted.
 
     Args:
-        keyframe: the scan and its motion.
-        targets: to look for.
-        named: whether there is one of each template, so that the template is the landmark's name.
-        shapes: whether to keep what refines the vertices.
-        biases: whether to keep what tells the biases of the LiDAR's rings: a few kilobytes for each sighting.
+        recording: a ROS 1 or ROS 2 bag, an .mcap file, a folder of clouds with timestamps.txt, or a session (.yaml),
+            by its path or opened.
+        targets: to look for; a session names its own.
+        sensor: the LiDAR; a session names its own.
+        scans: topic of the scans; None: the only one.
+        odometry: topic of poses, a TUM file, or a trajectory; "none" for none; None: the only topic of poses, if there
+            is one.
+        mounting: T_body_lidar (4, 4) on the body that the odometry is of; None: the recording's static transforms.
+        clock_offset: seconds to add to the stamps of the odometry to have those of the scans.
+        known: map to start from: surveyed landmarks, or one made before.
+        one_each: there is one of each target: its name is the landmark's.
+        keyframe: which scans are used; None: after half a metre or ten degrees.
+        noise: of the odometry; None: 2 cm and 0.2 deg per square root of a metre.
+        confirmations: sightings that must agree on a new landmark; None: 2, or 1 without odometry.
+        lag: seconds of poses that are kept in the graph; None: all.
+        batch: solve for everything at once at the end.
+        as_built_sigma: standard deviation to which the targets were built, metres: refines their vertices; None:
+            templates are exact.
+        workers: processes that detect targets; None: one for each core, for recordings of many scans.
+        report: called after every keyframe.
+
+    Raises:
+        InputError: no such recording, topic or file, no targets, stamps that do not follow, or `as_built_sigma`
+            without the batch solution.
     """
-    scan, twist = keyframe.scan, keyframe.twist
-    moving = scan.time is not None and bool((np.abs(twist) > SLOW).any())
-    straight = deskew(scan, twist) if moving else scan
-    try:
-        found = detect_targets(straight, targets).found
-    except (EstimationError, InputError) as error:
-        return Observed(keyframe.stamp, keyframe.T_odometry_lidar, keyframe.distance, (), _reason(error))
-    sightings = []
-    for detection in found:
-        name = detection.target.name if named else None
-        if detection.rival is not None and detection.status == "ambiguous":
-            continue  # which target it is, is not known
-        fired, returns = scan.select(detection.indices), straight.select(detection.indices)
-        if moving and _lifted(fired, returns) > OFF_ITS_RING:
-            seen = _moving_sighting(fired, detection.target, twist, name, shapes, biases)
-        elif detection.estimate.status != "failed":
-            seen = _sighting(detection.estimate, returns, name, shapes, biases)
-        else:
-            seen = None
-        if seen is not None:
-            sightings.append(seen)
-    return Observed(keyframe.stamp, keyframe.T_odometry_lidar, keyframe.distance, tuple(sightings), "")
-
-
-def _lifted(fired: Scan, straight: Scan) -> float:
-    """Largest change of a return's elevation by deskewing, in the least gap between the rings on the target."""
-    before, after = (np.arctan2(p[:, 2], np.hypot(p[:, 0], p[:, 1])) for p in (fired.points, straight.points))
-    assert fired.ring is not None  # targets are found ring by ring
-    _, ring = np.unique(fired.ring, return_inverse=True)
-    of_ring = np.bincount(ring, before) / np.bincount(ring)
-    return float(np.abs(after - before).max() / np.diff(of_ring).min())  # four rings at least: it was detected
-
-
-def _sighting(estimate: PoseEstimate, returns: Scan, name: str | None, shapes: bool, biases: bool) -> Sighting:
-    shape = shape_measurement(estimate, returns) if shapes and estimate.status == "ok" else None
-    return Sighting.of(estimate, name, shape, biases=biases)
-
-
-def _moving_sighting(
-    returns: Scan, target: Target, twist: Floats, name: str | None, shapes: bool, biases: bool
-) -> Sighting | None:
-    """A sighting from the scan's stamp, of returns taken while moving; None where they give no pose."""
-    try:
-        estimate, at = estimate_moving(returns, target, twist)
-    except EstimationError:
-        return None
-    if estimate.status == "failed":
-        return None
-    sighting = _sighting(estimate, deskew(returns, twist, at), name, shapes, biases)
-    return sighting.moved(exp(at * twist))
-
-
-def observe_all(
-    frames: Iterable[Keyframe],
-    targets: Sequence[Target],
-    named: bool,
-    shapes: bool,
-    workers: int = 1,
-    biases: bool = True,
-) -> Iterator[Observed]:
-    """Observe keyframes in their order, with several processes, a few scans ahead: memory does not grow."""
-    work = partial(observe, targets=tuple(targets), named=named, shapes=shapes, biases=biases)
-    if workers == 1:
-        yield from map(work, frames)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
-        waiting: list[Future[Observed]] = []
-        try:
-            for frame in frames:
-                waiting.append(pool.submit(work, frame))
-                if len(waiting) >= AHEAD * workers:
-                    yield waiting.pop(0).result()
-            while waiting:
-                yield waiting.pop(0).result()
-        finally:
-            for future in waiting:
-                future.cancel()
+    if as_built_sigma is not None and (lag is not None or not batch):
+        raise InputError("as-built vertices need the batch solution, so no lag, and a batch")
+    source = _opened(recording, [targets] if isinstance(targets, Target) else list(targets), sensor, scans, odometry)
+    track = _track(source, mounting, noise or MotionNoise(), clock_offset)
+    progress = Progress(expected=source.expected)
+    slam = LandmarkSlam(known, lag=lag, confirmations=confirmations or (1 if track is None else 2), name=source.name)
+    seen = observe_all(
+        keyframes(source.scans, track, keyframe or KeyframePolicy(), progress),
+        source.targets,
+        one_each,
+        as_built_sigma is not None,
+        _processes(source.expected) if workers is None else workers,
+        biases=batch and lag is None,
+    )
+    build_map(slam, seen, noise or MotionNoise(), progress, report)
+    slam.settle()
+    result, solution = slam.map(), None
+    if batch and lag is None and result.landmarks:
+        solution = solve_batch(slam.problem(), as_built_sigma=as_built_sigma)
+        result = solution.map()
+    return MapResult(
+        result, source.name, solution, dict(slam.counts), progress, source.skipped(), source.mounting,
+        tuple(source.warnings), _problems(result, source, track, progress),
+    )  # fmt: skip
 
 
 def build_map(
@@ -193,19 +200,97 @@ def build_map(
                 slam.add_odometry(seen.stamp, motion, noise.covariance(seen.distance, seconds))
         slam.add_measurements(seen.sightings)
         progress.sightings += len(seen.sightings)
+        progress.landmarks = len(slam.landmark_names)
         before = seen
         if report is not None:
             report(progress)
 
 
-def _one_thread() -> None:
-    """Keep the processes from competing for cores with threads of their own, where that can be told."""
-    with suppress(ImportError):
-        from threadpoolctl import threadpool_limits
+def _opened(
+    recording: str | Path | Recording | Session,
+    targets: Sequence[Target],
+    sensor: SensorModel | None,
+    scans: str | None,
+    odometry: str | Path | Trajectory | None,
+) -> _Source:
+    """Open a recording or a session, with its odometry."""
+    if isinstance(recording, str | Path) and Path(recording).suffix.lower() in (".yaml", ".yml", ".json"):
+        recording = load_session(recording)
+    if isinstance(odometry, str | Path) and Path(odometry).suffix == ".tum":
+        odometry = read_tum(odometry)
+    poses = _stamped(odometry) if isinstance(odometry, Trajectory) else None
+    if isinstance(recording, Session):
+        if targets or sensor or scans:
+            raise InputError(f"{recording.path}: a session names its own targets, sensor and scans")
+        if odometry not in (None, "none") and poses is None:
+            raise InputError(f"{recording.path}: a session has no topic '{odometry}'; odometry comes from a .tum file")
+        missed = Skipped()
+        return _Source(
+            recording.path.stem, session_scans(recording, missed), len(recording.views), lambda: missed,
+            list(recording.targets.values()), poses,
+        )  # fmt: skip
+    if not targets:
+        raise InputError("no targets: what is to be looked for in the recording")
+    opened = recording if isinstance(recording, Recording) else Recording(recording)
+    stream = opened.scans(scans, sensor)
+    source = _Source(opened.path.stem, stream, stream.expected, lambda: stream.skipped, targets, poses)
+    topic = odometry if isinstance(odometry, str) else None
+    if poses is None and odometry != "none" and (topic or any(t.kind == "pose" for t in opened.topics)):
+        source.poses = opened.poses(topic)
+        source.mounting = opened.mounting(scans, topic)
+    return source
 
-        threadpool_limits(1)
+
+def _stamped(trajectory: Trajectory) -> list[Stamped[Floats]]:
+    if trajectory.stamps is None:
+        raise InputError(f"{trajectory.name}: odometry needs stamps")
+    return [Stamped(float(stamp), T) for stamp, T in zip(trajectory.stamps, trajectory.poses, strict=True)]
 
 
-def _reason(error: Exception) -> str:
-    """The error without the scan's name, so that equal ones are counted together."""
-    return str(error).split(": ", 1)[-1]
+def _track(source: _Source, mounting: PoseLike | None, noise: MotionNoise, clock_offset: float) -> OdometryTrack | None:
+    """The odometry of a source, if there is any; warns of what is taken for granted."""
+    if source.poses is None:
+        source.warnings.append(
+            "no odometry: every scan is taken for one made at rest; if the LiDAR moved, targets are off by what it "
+            "moves within a revolution"
+        )
+        return None
+    T_body_lidar = None if mounting is None else as_transform(mounting, "mounting")
+    found, source.mounting = source.mounting, None if mounting is not None else source.mounting
+    if mounting is None and found is not None:
+        T_body_lidar = found.T_body_lidar
+        if T_body_lidar is None and found.body and found.lidar:
+            source.warnings.append(
+                f"odometry is of '{found.body}', scans are in '{found.lidar}', and no static transform links them: "
+                "taken for one frame; --mounting says where the LiDAR is"
+            )
+    poses = source.poses
+    if clock_offset:
+        poses = (Stamped(pose.stamp + clock_offset, pose.value) for pose in poses)
+    return OdometryTrack(poses, T_body_lidar, noise)
+
+
+def _problems(result: Map, source: _Source, track: OdometryTrack | None, progress: Progress) -> tuple[str, ...]:
+    """Why a map is not to be trusted to show what was there."""
+    problems = []
+    if not result.landmarks:
+        problems.append("no target was mapped")
+    lost = progress.skipped.total() + sum(source.skipped().values())
+    total = progress.scans + sum(source.skipped().values())
+    if total and lost > MOST_LOST * total:
+        problems.append(f"{lost} of {total} scans were lost")
+    outside = progress.skipped[NO_ODOMETRY]
+    if track is not None and progress.scans and outside == progress.scans:
+        problems.append(f"no scan lies within the odometry: scans are {_span(progress.span)}, odometry is "
+                        f"{_span(track.span)}: is a clock offset needed?")  # fmt: skip
+    return tuple(problems)
+
+
+def _span(span: tuple[float, float] | None) -> str:
+    return "empty" if span is None else f"from {span[0]:.3f} to {span[1]:.3f} s"
+
+
+def _processes(expected: int | None) -> int:
+    """Processes for a recording: starting them takes about as long as detecting targets in MANY scans."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores if expected is None or expected >= MANY else 1

@@ -6,23 +6,24 @@ its plane is the pose's business, so the template's prior holds that tightly, an
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.factors import ShapeMeasurement, shape_rows
-from optshape_graph.factors._rows import gaussian
-from optshape_graph.mapping.priors import sqrt_information
-from optshape_graph.mapping.sighting import Sighting
-from optshape_graph.mapping.track import Keys, MappingProblem
+from optshape_graph.factors._rows import gaussian, marginalised
+from optshape_graph.graph import Chains, State, add_rows
+from optshape_graph.mapping.batch_solution import Keys
+from optshape_graph.mapping.smoother import sqrt_information
+from optshape_graph.mapping.track import MappingProblem, Match, Sighting
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.pose.azimuth_grid import level_rings
 from optshape_graph.pose.noise import returns_on_plane
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import adjoint, apply, inverse
+from optshape_graph.se3 import apply, inverse
 from optshape_graph.target import Target
 
 GAUGE_SIGMA_M = 1e-6
@@ -50,98 +51,118 @@ def shape_measurement(estimate: PoseEstimate, returns: Scan) -> ShapeMeasurement
         shape_rows(off_plane, np.full(len(returns), n), n) / on_plane.sigma[:, None],
     ])  # fmt: skip
     biased = np.vstack([np.zeros((len(boundary), on_plane.bias.shape[1])), on_plane.bias])
-    return ShapeMeasurement.from_rows(_marginal(biased, rows), estimate.T_target_lidar)
+    return ShapeMeasurement.from_rows(marginalised(biased, rows), estimate.T_target_lidar)
 
 
-def _marginal(B: Floats, rows: Floats) -> Floats:
-    """Rows with shared errors, columns B in units of their standard deviations, marginalised."""
-    k = B.shape[1]
-    stack = np.block([[np.eye(k), np.zeros((k, rows.shape[1]))], [B, rows]])
-    R = np.asarray(np.linalg.qr(stack, mode="r"))
-    return R[k:, k:]
-
-
-@dataclass(frozen=True, eq=False)
-class Shapes:
-    """The shape part of a problem: which matches say something about the vertices of which landmark.
+@dataclass(frozen=True, eq=False, repr=False)
+class AsBuilt(Value):
+    """The matches that say something about the vertices of their landmarks, as a term.
 
     Attributes:
         sigma: of the template's prior, metres.
         targets: template of each landmark that is refined.
-        measurements: by number of the match; edges in the landmark's own numbering.
-        landmark_of: name of each of those matches' landmark.
-        pose_of: track and pose of each of those matches.
-        replaced: (K,) whether a match is in `measurements`, instead of its template measurement.
+        shapes: key of its vertices, a vector variable (y, z of each).
+        matches: those matches.
+        measurements: of each, edges in the landmark's own numbering.
+        chains: of T_target_lidar.
     """
 
     sigma: float
     targets: Mapping[str, Target]
-    measurements: Mapping[int, ShapeMeasurement]
-    landmark_of: Mapping[int, str]
-    pose_of: Mapping[int, tuple[int, int]]
-    replaced: Bools
+    shapes: Mapping[str, int]
+    matches: tuple[Match, ...]
+    measurements: tuple[ShapeMeasurement, ...]
+    chains: Chains
 
     @classmethod
-    def of(cls, problem: MappingProblem, sigma: float | None) -> Shapes:
-        """Collect what there is; with sigma None, nothing."""
-        matches = [(t, match) for t, track in enumerate(problem.tracks) for match in track.matches]
-        measurements, landmark_of, pose_of = {}, {}, {}
-        for k, (t, match) in enumerate(matches):
-            shape = _in_landmark(match.sighting, match.hypothesis) if sigma is not None else None
-            if shape is not None:
-                measurements[k], landmark_of[k], pose_of[k] = shape, match.landmark, (t, match.pose)
-        targets = {name: problem.targets[name] for name in dict.fromkeys(landmark_of.values())}
-        replaced = np.zeros(len(matches), dtype=bool)
-        replaced[list(measurements)] = True
-        return cls(sigma or 0.0, targets, measurements, landmark_of, pose_of, replaced)
+    def of(cls, problem: MappingProblem, keys: Keys, sigma: float | None) -> AsBuilt:
+        """Collect what there is; with sigma (metres) None, nothing."""
+        shapes = [(t, m, _in_landmark(m.sighting, m.hypothesis)) for t, m in problem.matches if sigma is not None]
+        found = [(t, match, shape) for t, match, shape in shapes if shape is not None]
+        names = dict.fromkeys(match.landmark for _, match, _ in found)
+        return cls(
+            sigma or 0.0,
+            {name: problem.targets[name] for name in names},
+            {name: keys.shapes[name] for name in names},
+            tuple(match for _, match, _ in found),
+            tuple(shape for *_, shape in found),
+            Chains([keys.chain(t, match) for t, match, _ in found]),
+        )
 
-    def insert(self, values: gtsam.Values, keys: Mapping[str, int]) -> None:
+    def insert(self, values: gtsam.Values) -> None:
         """Add the vertices to initial values, as the templates have them."""
         for name, target in self.targets.items():
-            values.insert(keys[name], target.polygon.ravel())
+            values.insert(self.shapes[name], target.polygon.ravel())
 
-    def add_priors(self, graph: gtsam.NonlinearFactorGraph, keys: Mapping[str, int]) -> None:
-        """Add the templates as priors of the vertices."""
+    def priors(self) -> Iterator[gtsam.NonlinearFactor]:
+        """Yield the templates as priors of the vertices."""
         for name, target in self.targets.items():
             gauge = _gauge(target)
             covariance = self.sigma**2 * (np.eye(len(gauge)) - gauge @ gauge.T) + GAUGE_SIGMA_M**2 * gauge @ gauge.T
             noise = gaussian(sqrt_information(covariance))
-            graph.push_back(gtsam.PriorFactorVector(keys[name], target.polygon.ravel(), noise))
+            yield gtsam.PriorFactorVector(self.shapes[name], target.polygon.ravel(), noise)
 
-    def error(self, values: gtsam.Values, keys: Keys) -> float:
-        """Return half the chi-square of the shape measurements."""
-        return sum(m.error(*self._at(k, values, keys)) for k, m in self.measurements.items())
-
-    def linearise(self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values, keys: Keys) -> None:
-        """Add the shape measurements, linearised."""
-        for k, measurement in self.measurements.items():
-            H, vertices = self._at(k, values, keys)
+    def at(self, state: State) -> AsBuiltModel:
+        """Return the residuals and derivatives of every match at a state."""
+        residuals, by_pose, by_shape = [], [], []
+        for match, measurement, H in zip(self.matches, self.measurements, self.chains.at(state), strict=True):
+            yz = state.values.atVector(self.shapes[match.landmark]).reshape(-1, 2)
+            vertices = np.column_stack([np.zeros(len(yz)), yz])
             by_H, by_vertex = measurement.jacobians(H, vertices)
-            by_shape = np.concatenate(by_vertex[:, :, 1:], axis=1)
-            t, pose = self.pose_of[k]
-            name = self.landmark_of[k]
-            linear.push_back(
-                gtsam.JacobianFactor(
-                    keys.landmarks[name], -by_H @ adjoint(inverse(H)),
-                    keys.poses[t][pose], by_H,
-                    keys.shapes[name], by_shape,
-                    -measurement.residual(H, vertices), gtsam.noiseModel.Unit.Create(len(by_H)),
-                )
-            )  # fmt: skip
+            residuals.append(measurement.residual(H, vertices))
+            by_pose.append(by_H)
+            by_shape.append(np.concatenate(by_vertex[:, :, 1:], axis=1))
+        return AsBuiltModel(self, state, residuals, by_pose, by_shape)
 
-    def refined(self, problem: MappingProblem, values: gtsam.Values, keys: Mapping[str, int]) -> dict[str, Target]:
+    def refined(self, problem: MappingProblem, values: gtsam.Values) -> dict[str, Target]:
         """Return the template of every landmark, refined where it was."""
         return {
-            name: _target(target, values.atVector(keys[name])) if name in keys else target
+            name: _target(target, values.atVector(self.shapes[name])) if name in self.shapes else target
             for name, target in problem.targets.items()
         }
 
-    def _at(self, k: int, values: gtsam.Values, keys: Keys) -> tuple[Floats, Floats]:
-        t, pose = self.pose_of[k]
-        name = self.landmark_of[k]
-        H = values.atPose3(keys.landmarks[name]).between(values.atPose3(keys.poses[t][pose])).matrix()
-        yz = values.atVector(keys.shapes[name]).reshape(-1, 2)
-        return H, np.column_stack([np.zeros(len(yz)), yz])
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AsBuiltModel(Value):
+    """Residuals r and their derivatives, whitened, of the matches of a term at a state.
+
+    Attributes:
+        term: that this is the model of.
+        state: where it is linearised.
+        residuals: (n,) of each match, whitened.
+        by_pose: (n, 6) rows of each, by the right perturbation of T_target_lidar.
+        by_shape: (n, 2 v) rows of each, by the vertices.
+    """
+
+    term: AsBuilt
+    state: State
+    residuals: Sequence[Floats]
+    by_pose: Sequence[Floats]
+    by_shape: Sequence[Floats]
+
+    @property
+    def error(self) -> float:
+        """Half the chi-square."""
+        return 0.5 * sum(float(r @ r) for r in self.residuals)
+
+    @property
+    def chi2(self) -> Floats:
+        """(m,) chi-square of each match that its own best pose would take away: 6 degrees of freedom."""
+        explained = [J @ np.linalg.lstsq(J, r)[0] for J, r in zip(self.by_pose, self.residuals, strict=True)]
+        return np.array([float(part @ part) for part in explained])
+
+    @property
+    def weight(self) -> Floats:
+        """(m,) weight of each match: no loss is applied."""
+        return np.ones(len(self.residuals))
+
+    def add_to(self, linear: gtsam.GaussianFactorGraph) -> None:
+        """Add the linearisation to a graph."""
+        term = self.term
+        moves = term.chains.derivatives(np.broadcast_to(np.eye(6), (len(term.matches), 6, 6)), self.state)
+        for n, match in enumerate(term.matches):
+            keys = [*term.chains.keys[n], term.shapes[match.landmark]]
+            add_rows(linear, keys, [*(self.by_pose[n] @ D for D in moves[n]), self.by_shape[n]], -self.residuals[n])
 
 
 def _in_landmark(sighting: Sighting, hypothesis: int) -> ShapeMeasurement | None:

@@ -1,21 +1,148 @@
-"""What a mapping run knows, as plain data: poses in time, odometry between them, landmarks, and what is matched."""
+"""What a mapping run knows, as plain data: sightings, poses in time and odometry between them, and what is matched."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
-from optshape_graph._arrays import Floats, frozen
-from optshape_graph.factors import BiasedMeasurement, TemplateMeasurement
+import numpy as np
+
+from optshape_graph._arrays import Floats, Value, frozen
+from optshape_graph.errors import InputError
+from optshape_graph.factors import BiasedMeasurement, ShapeMeasurement, Summary, TemplateMeasurement, summarise
 from optshape_graph.mapping.map import Map
-from optshape_graph.mapping.priors import root_of
-from optshape_graph.mapping.sighting import Sighting
-from optshape_graph.se3 import as_transform
+from optshape_graph.mapping.smoother import root_of
+from optshape_graph.pose import PoseEstimate
+from optshape_graph.se3 import as_transform, inverse
 from optshape_graph.target import Target
 
+LOOSEST = 10.0
+"""Standard deviation, rad or metres, beyond which a measurement does not determine a pose."""
 
-@dataclass(frozen=True, eq=False)
-class Odometry:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sighting(Value):
+    """One target in one scan.
+
+    Attributes:
+        target: the template.
+        measurements: of T_target_lidar, one for each pose that is not ruled out, the likeliest first.
+        landmark: which landmark it is, where that is known (a tag, a template of which there is one); None: it is to
+            be found out, among those of the same template.
+        shape: the same returns without the template, to refine the target's as-built vertices; None: not kept.
+        biased: the first measurement before the range biases that the LiDAR's rings keep are marginalised, in units of
+            their standard deviations; None: not kept.
+        lidar: name of the LiDAR, of several on one robot, whose biases those are.
+
+    Raises:
+        InputError: no measurement.
+    """
+
+    target: Target
+    measurements: tuple[TemplateMeasurement, ...]
+    landmark: str | None = None
+    shape: ShapeMeasurement | None = None
+    biased: BiasedMeasurement | None = None
+    lidar: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.measurements:
+            raise InputError(f"a sighting of target '{self.target.name}' without a measurement")
+
+    @classmethod
+    def of(
+        cls,
+        estimate: PoseEstimate,
+        landmark: str | None = None,
+        shape: ShapeMeasurement | None = None,
+        *,
+        biases: bool = True,
+    ) -> Sighting:
+        """Return the sighting that a pose estimate makes; of an ambiguous one, both of its poses.
+
+        Of the other pose only the pose is known: its measurement is taken to be that of the best one, moved there.
+
+        Args:
+            estimate: of the pose.
+            landmark: which it is, where that is known.
+            shape: of the same returns.
+            biases: whether to keep `biased`, so that a batch can tell what all scans have in common: some kilobytes.
+
+        Raises:
+            InputError: the estimate failed.
+        """
+        if estimate.status == "failed":
+            raise InputError(f"the estimate of target '{estimate.target.name}' failed ({estimate.reason})")
+        best = estimate.measurement
+        measurements: tuple[TemplateMeasurement, ...] = (best,)
+        other = estimate.ambiguity.T_lidar_target
+        if estimate.status != "ok" and other is not None:
+            measurements = (best, best.substituted(best.T_target_lidar @ other))
+        return cls(estimate.target, measurements, landmark, shape, _biased(estimate) if biases else None)
+
+    def moved(self, T_lidar_then: Floats, covariance: Floats | None = None) -> Sighting:
+        """Return the sighting as one from another pose of the LiDAR.
+
+        Args:
+            T_lidar_then: (4, 4) the pose that it was made from, in the frame of the one that it is to be from.
+            covariance: (6, 6) of its right perturbation, rotation first; None: it is known exactly.
+        """
+        if covariance is not None:
+            loosened = replace(
+                self,
+                measurements=tuple(m.loosened(covariance) for m in self.measurements),
+                shape=None if self.shape is None else self.shape.loosened(covariance, self.target.vertices),
+                biased=None if self.biased is None else self.biased.loosened(covariance),
+            )
+            return loosened.moved(T_lidar_then)
+        shape = self.shape
+        if shape is not None:  # planes map by the transposed pose: H_then^T = T^T H^T
+            U = shape.U.reshape(len(shape.U), -1, 4) @ T_lidar_then.T
+            triangle = np.asarray(np.linalg.qr(U.reshape(shape.U.shape), mode="r"))
+            shape = ShapeMeasurement(triangle, shape.n_rows, shape.T_target_lidar @ inverse(T_lidar_then))
+        measurements = tuple(m.substituted(np.eye(4), T_lidar_then) for m in self.measurements)
+        biased = None if self.biased is None else self.biased.substituted(np.eye(4), T_lidar_then)
+        return replace(self, measurements=measurements, shape=shape, biased=biased)
+
+    @cached_property
+    def hypotheses(self) -> tuple[TemplateMeasurement, ...]:
+        """All measurements, under every way to name the vertices of a symmetric target."""
+        return tuple(
+            measurement if turn is None else measurement.substituted(turn)
+            for measurement in self.measurements
+            for turn in self._turns
+        )
+
+    def biased_as(self, hypothesis: int) -> BiasedMeasurement | None:
+        """Return `biased` under one of the hypotheses; None where it is not kept, or not known of that pose."""
+        if self.biased is None or hypothesis >= len(self._turns):
+            return None
+        turn = self._turns[hypothesis]
+        return self.biased if turn is None else self.biased.substituted(turn)
+
+    @cached_property
+    def summaries(self) -> tuple[Summary, ...]:
+        """The hypotheses as measured poses."""
+        return tuple(summarise(self.hypotheses))
+
+    @cached_property
+    def determined(self) -> bool:
+        """Whether the best measurement determines all six degrees of freedom of the pose."""
+        least = np.linalg.svd(self.summaries[0].sqrt_information, compute_uv=False).min()
+        return bool(least > 1.0 / LOOSEST)
+
+    @property
+    def _turns(self) -> list[Floats | None]:
+        return [None, *self.target.symmetry_transforms[1:]]
+
+    def T_lidar_target(self) -> Floats:
+        """Return the likeliest pose (4, 4)."""
+        return inverse(self.summaries[0].T_target_lidar)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Odometry(Value):
     """Motion between two poses of one session.
 
     Attributes:
@@ -67,8 +194,8 @@ class Match:
         return self.sighting.biased_as(self.hypothesis)
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
+@dataclass(frozen=True, eq=False, repr=False)
+class Start(Value):
     """Where a session starts.
 
     Attributes:
@@ -86,8 +213,8 @@ class Start:
         object.__setattr__(self, "T_world_lidar", as_transform(self.T_world_lidar, "start"))
 
 
-@dataclass(frozen=True, eq=False)
-class Track:
+@dataclass(frozen=True, eq=False, repr=False)
+class Track(Value):
     """One session: a robot's poses and what was measured from them.
 
     Attributes:
@@ -107,8 +234,8 @@ class Track:
     start: Start | None
 
 
-@dataclass(frozen=True, eq=False)
-class MappingProblem:
+@dataclass(frozen=True, eq=False, repr=False)
+class MappingProblem(Value):
     """All that there is to solve for in one map.
 
     Attributes:
@@ -123,19 +250,20 @@ class MappingProblem:
     T_world_target: Mapping[str, Floats]
     known: Map | None = None
 
+    @cached_property
+    def matches(self) -> tuple[tuple[int, Match], ...]:
+        """All matches, each with the number of its track, in the order of tracks and matches."""
+        return tuple((t, match) for t, track in enumerate(self.tracks) for match in track.matches)
 
-@dataclass(frozen=True, eq=False)
-class Keys:
-    """Variables: poses X, landmarks L, and as-built vertices V.
 
-    Attributes:
-        poses: of each track.
-        landmarks: by name.
-        shapes: of the landmarks whose vertices are refined, by name.
-        biases: of the LiDARs whose rings' biases are, by number of the track.
+def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
+    """What the estimate's returns say before ring biases are marginalised; the offset at edges is of one scan.
+
+    It is as wide as the measurement, which is wider where associations disagree.
     """
-
-    poses: tuple[tuple[int, ...], ...]
-    landmarks: Mapping[str, int]
-    shapes: Mapping[str, int]
-    biases: Mapping[int, int] = field(default_factory=dict)
+    if estimate.shared is None:
+        return None
+    biased = estimate.shared.without([error for error in estimate.shared.shared if error.ring is None])
+    own = np.trace(biased.marginal(1.0).information(estimate.T_target_lidar))
+    scale = float(np.sqrt(np.trace(estimate.measurement.information()) / own))
+    return replace(biased, stack=biased.stack * min(scale, 1.0))

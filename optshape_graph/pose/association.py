@@ -15,7 +15,7 @@ from math import comb
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
 from optshape_graph.se3 import transform
@@ -27,8 +27,8 @@ _REFINED = 400  # labellings whose angle is refined from the grid's
 _SECTOR = 2  # grid steps between the directions in which a rival is looked for
 
 
-@dataclass(frozen=True, eq=False)
-class ReturnsPlane:
+@dataclass(frozen=True, eq=False, repr=False)
+class ReturnsPlane(Value):
     """The plane of the returns, with axes like the target's: away from the sensor, left, up.
 
     Attributes:

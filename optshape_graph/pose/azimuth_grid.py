@@ -13,10 +13,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import ndtr
 
 from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.edges import EdgePoints, extreme_width, relative_azimuth
+from optshape_graph.gaussian import ndtr
 from optshape_graph.scan import Scan
 
 NEGLIGIBLE = 1e-4

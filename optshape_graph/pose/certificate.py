@@ -7,7 +7,8 @@ constraints of a rotation (rows and columns orthonormal, right-handed) and X_10,
     maximise mu  subject to  Z = Q - mu E_10,10 - sum_i lambda_i A_i  positive semidefinite,
 
 bounds the cost of every rotation from below. A multiplier that is not quite feasible still gives a bound: x^T Z x
-is at least 4 min(0, lambda_min(Z)), since |x|^2 = 4 for every rotation.
+is at least 4 min(0, lambda_min(Z)), since |x|^2 = 4 for every rotation. Where a minimum is known, multipliers that are
+tight there are written down (`dual`); where they do not do, and where no pose is known, a solver finds them.
 """
 
 from __future__ import annotations
@@ -19,19 +20,21 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError, InputError, missing_extra
 from optshape_graph.factors.measurement import TemplateMeasurement, refine
+from optshape_graph.pose.dual import closed_form_bounds
 from optshape_graph.se3 import transform
 
-Backend = Literal["clarabel", "cvxpy"]
+Backend = Literal["closed-form", "clarabel", "cvxpy"]
+"""What finds the multipliers: closed-form where that certifies the pose, else Clarabel; Clarabel; Clarabel by cvxpy."""
 
 _SQUARED_NORM = 4.0  # of x = [vec R; 1], for every rotation
 _UPPER = np.array([(i, j) for j in range(10) for i in range(j + 1)])  # column by column, as Clarabel packs
 
 
-@dataclass(frozen=True, eq=False)
-class Bound:
+@dataclass(frozen=True, eq=False, repr=False)
+class Bound(Value):
     """What the dual of the relaxation says of a quadratic cost [vec R; t; 1]^T Q [vec R; t; 1].
 
     Attributes:
@@ -46,8 +49,8 @@ class Bound:
     X: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class Relaxation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Relaxation(Value):
     """The pose that the relaxation rounds to, and the bound on every pose.
 
     Attributes:
@@ -167,7 +170,7 @@ def lower_bound(Q: Floats, backend: Backend = "clarabel") -> Bound:
 
     Args:
         Q: (13, 13) symmetric positive semidefinite, cost [z; 1]^T Q [z; 1], z = [vec R (column-major); t].
-        backend: the solver, or cvxpy as the modelling layer above the same solver.
+        backend: "cvxpy": the modelling layer above the same solver; any other: Clarabel, since no pose is known.
 
     Raises:
         InputError: a backend that does not exist.
@@ -180,7 +183,7 @@ def lower_bound(Q: Floats, backend: Backend = "clarabel") -> Bound:
     if not (np.isfinite(scale) and scale > 0):
         raise EstimationError("the measurements constrain no rotation at all")
     scaled = form / scale
-    multipliers, X = (_solve_clarabel if backend == "clarabel" else _solve_cvxpy)(scaled)
+    multipliers, X = (_solve_cvxpy if backend == "cvxpy" else _solve_clarabel)(scaled)
     Z = scaled - np.tensordot(multipliers, _dual_matrices(), axes=1)
     eigenvalues = np.linalg.eigvalsh(Z)
     bound = multipliers[-1] + _SQUARED_NORM * min(0.0, eigenvalues[0])
@@ -221,7 +224,7 @@ def certify(
     measurement: TemplateMeasurement,
     T_target_lidar: Floats,
     total_weight: float,
-    backend: Backend = "clarabel",
+    backend: Backend = "closed-form",
     largest_gap: float = 1e-4,
 ) -> Certificate:
     """Certify a pose against every other one.
@@ -230,14 +233,26 @@ def certify(
         measurement: the whitened rows.
         T_target_lidar: (4, 4) the pose in question.
         total_weight: sum over rows of 1 / sigma^2, 1/m2: the gap is in whitened units before it is divided by it.
-        backend: see `lower_bound`.
+        backend: what finds the multipliers of the dual.
         largest_gap: metres a residual: root of the gap up to which the pose is certified.
 
     Raises:
         InputError: a backend that does not exist.
         EstimationError: the measurement constrains no rotation at all.
     """
-    dual = lower_bound(measurement.quadratic(), backend)
-    gap = max(0.0, 2.0 * measurement.error(T_target_lidar) - dual.bound) / total_weight
-    second = dual.second_eigenvalue / total_weight
-    return Certificate(bool(gap <= largest_gap**2 and second > 0), gap, second)
+    Q = measurement.quadratic()
+
+    def judged(bound: float, second_eigenvalue: float) -> Certificate:
+        gap = max(0.0, 2.0 * measurement.error(T_target_lidar) - bound) / total_weight
+        second = second_eigenvalue / total_weight
+        return Certificate(bool(gap <= largest_gap**2 and second > 0), gap, second)
+
+    if backend == "closed-form":
+        form, _ = eliminate_translation(Q)
+        if np.trace(form) > 0:
+            bound, second = closed_form_bounds(form[None], T_target_lidar[None, :3, :3])
+            certificate = judged(float(bound[0]), float(second[0]))
+            if certificate.certified:
+                return certificate
+    dual = lower_bound(Q, backend)
+    return judged(dual.bound, dual.second_eigenvalue)

@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.special import ndtr
 
-from optshape_graph._arrays import Bools, Floats
+from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import refine, template_rows
 from optshape_graph.factors.static import RANGE_BIAS, BiasedMeasurement, SharedError
+from optshape_graph.gaussian import ndtr
 from optshape_graph.pose.association import ReturnsPlane, fit_plane, in_plane_poses
 from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
@@ -167,8 +167,8 @@ class Beam:
         return cls(float(np.hypot(options.flatness, noise.OWN * width)), noise.COMMON * width, options.strays)
 
 
-@dataclass(frozen=True, eq=False)
-class Containment:
+@dataclass(frozen=True, eq=False, repr=False)
+class Containment(Value):
     """The posterior over one connected set of poses: y = C(angle) q + t for q in the plane of the returns.
 
     Attributes:

@@ -28,7 +28,7 @@ def estimate_pose(
     scan: Scan,
     target: Target,
     method: Method = "global",
-    backend: Backend = "clarabel",
+    backend: Backend = "closed-form",
     options: PoseOptions = PoseOptions(),
 ) -> PoseEstimate:
     """Estimate the pose of a target from its returns.
@@ -40,7 +40,8 @@ def estimate_pose(
         method: "global" enumerates every consistent association of edge points to edges, finds the posterior of the
             pose under the best of them, and certifies it; of a cloud without rings it finds the posterior over all
             poses that contain the returns. "paper" is the alternation of Huang, Clark and Grizzle, for comparison.
-        backend: what solves the relaxation: "clarabel", or "cvxpy" as the modelling layer above it.
+        backend: what finds the certificate's multipliers: "closed-form", with "clarabel" where that does not do;
+            "clarabel", which solves the relaxation; "cvxpy", the modelling layer above it.
         options: assumptions and thresholds.
 
     Returns:
@@ -92,6 +93,7 @@ def conclude(found: Finding, backend: Backend, options: PoseOptions) -> PoseEsti
         plane_rms=float(np.sqrt(np.mean(off_plane**2))),
         n_returns=len(found.returns),
         unobservable=unobservable,
+        scan=found.returns.name,
     )
 
 

@@ -21,10 +21,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp, ndtr
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.edges import EdgePoints
+from optshape_graph.gaussian import log_ndtr, logsumexp, ndtr
 from optshape_graph.pose.mixture import LogDensity
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.propagation import Posterior, Problem
@@ -125,8 +125,8 @@ def alternative_labels(problem: Problem, posterior: Posterior, limit: int) -> In
     return labels
 
 
-@dataclass(frozen=True, eq=False)
-class Firings:
+@dataclass(frozen=True, eq=False, repr=False)
+class Firings(Value):
     """What a scan says of chords, in azimuth steps.
 
     Attributes:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import lgamma
 
 import numpy as np
-from scipy.special import gammaln, logsumexp
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
+from optshape_graph.gaussian import logsumexp
 from optshape_graph.se3 import inverse, rotation, rotation_vector, transform
 
 FREEDOM = 5.0
@@ -35,8 +36,8 @@ LogDensity = Callable[[Floats, Floats], Floats]
 """Of poses (S, 4, 4) and scalars (S,): the logarithm (S,) of a density."""
 
 
-@dataclass(frozen=True, eq=False)
-class Components:
+@dataclass(frozen=True, eq=False, repr=False)
+class Components(Value):
     """A mixture over poses and one scalar.
 
     Attributes:
@@ -52,8 +53,8 @@ class Components:
     weight: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
+@dataclass(frozen=True, eq=False, repr=False)
+class Samples(Value):
     """Weighted poses.
 
     Attributes:
@@ -93,7 +94,7 @@ def _draw(components: Components, rng: np.random.Generator) -> tuple[Floats, Flo
     """Poses, scalars, and the roots of the covariances they were drawn with."""
     count = rng.multinomial(SAMPLES, components.weight)
     which = np.repeat(np.arange(len(count)), count)
-    roots = np.linalg.cholesky(components.covariance)
+    roots: Floats = np.asarray(np.linalg.cholesky(components.covariance))
     t = rng.standard_normal((SAMPLES, 7)) / np.sqrt(rng.chisquare(FREEDOM, SAMPLES) / FREEDOM)[:, None]
     xi = components.mean[which] + (roots[which] @ t[..., None])[..., 0]
     return components.T[which] @ transform(rotation(xi[:, :3]), xi[:, 3:6]), xi[:, 6], roots
@@ -108,7 +109,7 @@ def _log_components(components: Components, roots: Floats, T: Floats, scalar: Fl
     squared = (white**2).sum(axis=1)
     # How much volume of rotations a volume of rotation vectors covers there: (2 sin(x / 2) / x)^2.
     volume = 2 * np.log(np.sinc(np.linalg.norm(turn, axis=-1) / (2 * np.pi)))
-    constant = gammaln((FREEDOM + 7) / 2) - gammaln(FREEDOM / 2) - 3.5 * np.log(FREEDOM * np.pi)
+    constant = lgamma((FREEDOM + 7) / 2) - lgamma(FREEDOM / 2) - 3.5 * np.log(FREEDOM * np.pi)
     scale = np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
     log = constant - scale[:, None] - 0.5 * (FREEDOM + 7) * np.log1p(squared / FREEDOM) - volume
     return log + np.log(components.weight)[:, None], charts

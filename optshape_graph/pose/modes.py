@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats
+from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
 from optshape_graph.pose.likelihood import alternative_labels, exit_probability, missed_rings, scan_log_likelihood
@@ -48,8 +48,8 @@ TRUSTED = 50.0
 """Effective samples below which samples settle nothing."""
 
 
-@dataclass(frozen=True, eq=False)
-class SampledPose:
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledPose(Value):
     """What samples say of the best mode.
 
     Attributes:
@@ -63,8 +63,8 @@ class SampledPose:
     covariance: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class Modes:
+@dataclass(frozen=True, eq=False, repr=False)
+class Modes(Value):
     """The best mode, and what else it might be.
 
     Attributes:
@@ -168,7 +168,7 @@ def compare_modes(candidates: Posterior, problem: Problem, scan: Scan, ends: Edg
     by_association = _compare(candidates, problem.target)
     if ends.n_rings >= SURE[0] and by_association.margin > SURE[1]:
         return by_association
-    chosen = candidates.select(_apart(candidates, problem.target))
+    chosen = candidates.select(np.array(_apart(candidates, problem.target)))
     density = scan_log_likelihood(problem, scan, ends)
     samples = sample(density, _components(chosen), np.random.default_rng(0))
     poses = inverse(chosen.T_target_lidar)

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.factors.measurement import template_rows
 from optshape_graph.factors.static import RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.pose.options import PoseOptions
@@ -99,8 +99,8 @@ def _outermost() -> tuple[Floats, Floats, Floats]:
     return steps, np.maximum(shift, 0.0), np.minimum(share, 1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class PlaneReturns:
+@dataclass(frozen=True, eq=False, repr=False)
+class PlaneReturns(Value):
     """Every return against the plane of the target: e_x . (R p + t) - c, with its noise.
 
     A range error moves a return along its ray, and so moves the residual and the row's own coefficients together:

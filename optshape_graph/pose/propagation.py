@@ -21,10 +21,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.special import log_ndtr
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.edges import EdgePoints
+from optshape_graph.gaussian import log_ndtr
 from optshape_graph.pose.noise import EdgeNoise, outermost_return
 from optshape_graph.se3 import exp, vec, vec_derivative
 from optshape_graph.target import Target
@@ -41,8 +41,8 @@ _DAMPING = 0.8
 _LOG_SQRT_2PI = 0.5 * np.log(2 * np.pi)
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
+@dataclass(frozen=True, eq=False, repr=False)
+class Problem(Value):
     """What is known of one target in one scan, whatever its pose.
 
     Attributes:
@@ -75,8 +75,8 @@ class Problem:
         return np.array([[edges.lower, edges.upper], [edges.lower + first * step, edges.lower + last * step]])
 
 
-@dataclass(frozen=True, eq=False)
-class EdgeGeometry:
+@dataclass(frozen=True, eq=False, repr=False)
+class EdgeGeometry(Value):
     """Edge points against their edges at C poses: rows linear in the pose, and which way the unknowns move them.
 
     Attributes:
@@ -99,8 +99,8 @@ class EdgeGeometry:
     own: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class Posterior:
+@dataclass(frozen=True, eq=False, repr=False)
+class Posterior(Value):
     """Gaussian posteriors about C poses.
 
     Attributes:
@@ -225,13 +225,13 @@ def propagate(
     return replace(posterior, T_target_lidar=T)
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
+@dataclass(frozen=True, eq=False, repr=False)
+class Step(Value):
     """The Gaussian posterior of a step of C sets of K unknowns, and the Gaussians that stand for the intervals.
 
     Attributes:
-        mean: (C, K).
-        covariance: (C, K, K).
+        mean: (C, K), in units of the unknowns: rad, metres, beam widths.
+        covariance: (C, K, K), in those units squared.
         precision: (C, M) of the Gaussian in the residual that stands for each interval, 1/m2.
         information: (C, M) its mean times its precision, 1/m.
         log_evidence: (C,) logarithm of the probability of the edge points.
@@ -266,7 +266,7 @@ def posterior_step(
         J: (C, M, K) derivative of the residuals r by the unknowns.
         r: (C, M) residuals at step 0, metres, insets left out.
         inset: (C, M) distance to the boundary to start from, rad, and
-        spread: (C, M) its variance, rad2.
+        spread: (C, M) its variance, square rad.
         sweeps: at most so many updates.
         settled: relative change of every precision below which more updates change nothing.
     """

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.edges import EdgePoints, relative_azimuth
 from optshape_graph.scan import Scan
 
@@ -41,8 +41,8 @@ ANYWHERE = 0.01
 """Likelihood of an odd ring end that none of the explanations fits, in units of theirs."""
 
 
-@dataclass(frozen=True, eq=False)
-class Rays:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rays(Value):
     """The firings of one scan near one target.
 
     Attributes:

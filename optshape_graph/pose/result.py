@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen, shortened
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.measurement import TemplateMeasurement
 from optshape_graph.factors.static import BiasedMeasurement
+from optshape_graph.io.records import to_record
+from optshape_graph.io.results import RECORD, Result, Row, one_scan
 from optshape_graph.pose.certificate import Certificate
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, apply, inverse, inverse_covariance, skew
@@ -19,8 +22,8 @@ from optshape_graph.target import Target
 Status = Literal["ok", "ambiguous", "failed"]
 
 
-@dataclass(frozen=True, eq=False)
-class Ambiguity:
+@dataclass(frozen=True, eq=False, repr=False)
+class Ambiguity(Value):
     """How much better the pose is than the best different one.
 
     Attributes:
@@ -32,8 +35,8 @@ class Ambiguity:
     T_lidar_target: Floats | None
 
 
-@dataclass(frozen=True, eq=False)
-class Finding:
+@dataclass(frozen=True, eq=False, repr=False)
+class Finding(Value):
     """What one of the methods finds in a scan: all that `conclude` judges and records.
 
     Attributes:
@@ -67,8 +70,8 @@ class Finding:
     objection: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class PoseEstimate:
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseEstimate(Result):
     """The pose of a target in a scan, and how far to believe it.
 
     Attributes:
@@ -92,7 +95,10 @@ class PoseEstimate:
         plane_rms: root mean square distance of the returns from the target's plane, metres.
         n_returns: number of returns.
         unobservable: directions, in the target's frame, that the scan does not determine.
+        scan: name of the scan.
     """
+
+    FORM: ClassVar[str] = "estimate"
 
     target: Target
     T_lidar_target: Floats
@@ -112,6 +118,7 @@ class PoseEstimate:
     plane_rms: float
     n_returns: int
     unobservable: tuple[str, ...]
+    scan: str
 
     def __post_init__(self) -> None:
         for field in ("T_lidar_target", "covariance", "inset", "edge_sigma", "edge_residuals"):
@@ -185,3 +192,91 @@ class PoseEstimate:
         usable = np.abs(speed) > 0.1 * np.linalg.norm(outward, axis=1)
         to_edge = self.inset - self.edge_residuals / np.where(usable, speed, np.inf)
         return float(np.median(to_edge[usable])) if usable.any() else float(np.median(self.inset))
+
+    @property
+    def sigma_m(self) -> float:
+        """Largest standard deviation of the position, metres."""
+        return float(np.sqrt(np.diag(self.covariance)[3:].max()))
+
+    @property
+    def sigma_rad(self) -> float:
+        """Largest standard deviation of the rotation, rad."""
+        return float(np.sqrt(np.diag(self.covariance)[:3].max()))
+
+    def __repr__(self) -> str:
+        x, y, z = self.T_lidar_target[:3, 3]
+        pose = f"({x:.3f}, {y:.3f}, {z:.3f}) m ± {1e3 * self.sigma_m:.1f} mm, ± {np.degrees(self.sigma_rad):.2f} deg"
+        certified = "certified" if self.certificate.certified else "not certified"
+        margin = "" if self.ambiguity.T_lidar_target is None else f", margin {self.ambiguity.margin:.0f}"
+        said = f"{pose}, {certified}{margin}" if self.status != "failed" else self.reason
+        return shortened(f"PoseEstimate({self.target.name!r} {self.status}: {said}, {self.n_returns} returns)")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the JSON form says of this scan, as plain data."""
+        usable = self.status != "failed"
+        rival = self.ambiguity.T_lidar_target
+        return {
+            "scan": self.scan or "scan",
+            "target": self.target.name,
+            "status": self.status,
+            "reason": self.reason,
+            "T_lidar_target": self.T_lidar_target.tolist() if usable else None,
+            "covariance": self.covariance.tolist() if usable else None,
+            "vertices": self.vertices.tolist() if usable else None,
+            "certificate": {
+                "certified": self.certificate.certified,
+                "gap_m2": self.certificate.gap_m2,
+                "second_eigenvalue": self.certificate.second_eigenvalue,
+            },
+            "ambiguity": {
+                "margin": self.ambiguity.margin if rival is not None else None,
+                "T_lidar_target": rival.tolist() if rival is not None else None,
+            },
+            "equivalent_poses": self.equivalent_poses.tolist() if usable else None,
+            "inset_rad": self.inset_rad if len(self.labels) else None,
+            "labels": self.labels.tolist(),
+            "edge_points": self.edge_points.points.tolist(),
+            "n_returns": self.n_returns,
+        }
+
+    def rows(self) -> list[Row]:
+        """Return the estimate as a table of one row."""
+        x, y, z = self.T_lidar_target[:3, 3].tolist()
+        return [
+            {
+                "scan": self.scan, "target": self.target.name, "status": self.status, "x_m": x, "y_m": y, "z_m": z,
+                "sd_mm": 1e3 * self.sigma_m, "sd_deg": float(np.degrees(self.sigma_rad)),
+                "certified": self.certificate.certified, "margin": self.ambiguity.margin, "returns": self.n_returns,
+            }
+        ]  # fmt: skip
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read an estimate that `save` wrote: equal to what was saved.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            InputError: another file, one of several scans, or one without a record.
+        """
+        loaded: Self = one_scan(path, cls.FORM, cls)
+        return loaded
+
+    def _document(self) -> dict[str, Any]:
+        return {"schema": f"optshape/{self.FORM}/1", "scans": [{**self.to_dict(), RECORD: to_record(self)}]}
+
+
+def failed_entry(scan: str, target: str, reason: str) -> dict[str, Any]:
+    """Return what the JSON form says of a scan that gave no estimate, as plain data.
+
+    Args:
+        scan: its name.
+        target: name of the target.
+        reason: why there is none.
+    """
+    empty = dict.fromkeys(
+        ["T_lidar_target", "covariance", "vertices", "certificate", "ambiguity", "equivalent_poses", "inset_rad",
+         "labels", "edge_points", "n_returns"]
+    )  # fmt: skip
+    return {"scan": scan, "target": target, "status": "failed", "reason": reason, **empty}

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.edges import EdgePoints, extract_edge_points, with_top_and_bottom
 from optshape_graph.factors.measurement import TemplateMeasurement, refine, template_rows
 from optshape_graph.factors.static import EDGE_OFFSET, BiasedMeasurement, SharedError
@@ -28,8 +28,8 @@ from optshape_graph.se3 import difference, vec, vec_derivative
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class Measured:
+@dataclass(frozen=True, eq=False, repr=False)
+class Measured(Value):
     """What was measured, whatever the pose.
 
     Attributes:

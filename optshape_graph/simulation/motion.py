@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 
 
@@ -19,8 +19,8 @@ class Motion(Protocol):
         """Return T_world_lidar at (N,) times, seconds: (N, 3, 3) rotations and (N, 3) translations."""
 
 
-@dataclass(frozen=True, eq=False)
-class ConstantTwist:
+@dataclass(frozen=True, eq=False, repr=False)
+class ConstantTwist(Value):
     """T_world_lidar(t) = T_world_lidar Exp(t twist): constant velocity in the body frame.
 
     Attributes:
@@ -38,8 +38,8 @@ class ConstantTwist:
         return poses.rotation.as_matrix(), poses.translation
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(Value):
     """Poses at given times; between two of them, constant velocity in the world and constant angular velocity.
 
     Attributes:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.errors import InputError
 from optshape_graph.sensor import SensorModel
 
@@ -16,8 +16,8 @@ Sphere = tuple[Floats, float]
 """(3,) centre and radius, metres."""
 
 
-@dataclass(frozen=True, eq=False)
-class EdgeMargin:
+@dataclass(frozen=True, eq=False, repr=False)
+class EdgeMargin(Value):
     """How far outside an edge a beam's axis may pass and still return, in radii of the beam.
 
     At a range r the beam's radius is an angle of (divergence + aperture / r) / 2.
@@ -71,8 +71,8 @@ def unit_vectors(azimuth: Floats, elevation: Floats) -> Floats:
     return np.moveaxis(vectors, 0, -1)
 
 
-@dataclass(frozen=True, eq=False)
-class Revolution:
+@dataclass(frozen=True, eq=False, repr=False)
+class Revolution(Value):
     """The rays of one revolution, LiDAR frame, in firing order: ring by ring in every column of azimuth.
 
     Attributes:

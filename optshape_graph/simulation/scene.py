@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import inverse
@@ -20,8 +20,8 @@ from optshape_graph.simulation.surfaces import Patch, Surface
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scene(Value):
     """Targets, and everything else that returns light.
 
     Attributes:
@@ -38,8 +38,8 @@ class Scene:
         return (*self.targets, *self.background)
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatedScan:
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulatedScan(Value):
     """A scan with its truth.
 
     Attributes:

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.simulation.rays import NO_MARGIN, EdgeMargin, Sphere, at
 from optshape_graph.target import Target
@@ -38,8 +38,8 @@ class Surface(Protocol):
         """
 
 
-@dataclass(frozen=True, eq=False)
-class Patch:
+@dataclass(frozen=True, eq=False, repr=False)
+class Patch(Value):
     """A planar convex polygon, seen from both sides: a target, or a wall.
 
     Attributes:
@@ -77,8 +77,8 @@ class Patch:
         return near[hit], ranges[hit], np.abs(d[hit, 0])
 
 
-@dataclass(frozen=True, eq=False)
-class Floor:
+@dataclass(frozen=True, eq=False, repr=False)
+class Floor(Value):
     """The plane z = height of the world, without bounds.
 
     Attributes:
@@ -101,8 +101,8 @@ class Floor:
         return index, at(drop, index) / slope[index], np.abs(slope[index])
 
 
-@dataclass(frozen=True, eq=False)
-class Box:
+@dataclass(frozen=True, eq=False, repr=False)
+class Box(Value):
     """A box; from inside, a room.
 
     Attributes:

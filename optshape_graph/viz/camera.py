@@ -20,9 +20,10 @@ from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.files import read_bytes, write_atomically
 from optshape_graph.io.image_files import decode_image, opencv
+from optshape_graph.names import file_name
 from optshape_graph.se3 import apply, inverse
 from optshape_graph.target import Target
-from optshape_graph.viz.style import BLUE, GREY, INK, VERMILLION, file_name, legend_below, literal, new_figure, plain
+from optshape_graph.viz.style import BLUE, GREY, INK, VERMILLION, legend_below, literal, new_figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

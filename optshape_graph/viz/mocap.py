@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optshape_graph.calibration.mocap.calibrate import MocapCalibration
-from optshape_graph.calibration.mocap.comparison import MocapScan, ScanError
+from optshape_graph.calibration.mocap.comparison import ScanError
+from optshape_graph.calibration.mocap.result import MocapCalibration
 from optshape_graph.evaluation.harness import Row
 from optshape_graph.se3 import apply
-from optshape_graph.target import Target
 from optshape_graph.viz.style import (
     INK,
     colour,
@@ -97,11 +96,10 @@ def plot_table(rows: Sequence[Row], series: Mapping[str, str]) -> Figure:
     return plot_errors({name: [errors(row, prefix) for row in rows] for prefix, name in series.items()})
 
 
-def plot_placements(scans: Sequence[MocapScan], calibration: MocapCalibration) -> Figure:
+def plot_placements(calibration: MocapCalibration) -> Figure:
     """Draw from above where the target stood by the LiDAR and by the markers, in the LiDAR frame.
 
     Args:
-        scans: that were calibrated.
         calibration: the result.
 
     Raises:
@@ -109,7 +107,7 @@ def plot_placements(scans: Sequence[MocapScan], calibration: MocapCalibration) -
     """
     figure = new_figure(10.0, 6.0)
     axes = plain(figure.subplots())
-    T = calibration.T_lidar_mocap
+    T, scans = calibration.T_lidar_mocap, calibration.scans
     axes.plot(0.0, 0.0, "+", color=INK, ms=12, mew=2)
     axes.annotate("LiDAR", (0.0, 0.0), textcoords="offset points", xytext=(8, 8))
     for k, scan in enumerate(scans):
@@ -136,11 +134,10 @@ def plot_placements(scans: Sequence[MocapScan], calibration: MocapCalibration) -
     return figure
 
 
-def plot_marker_layout(target: Target, calibration: MocapCalibration) -> Figure:
+def plot_marker_layout(calibration: MocapCalibration) -> Figure:
     """Draw where the markers are on the target, with ellipses of three standard deviations.
 
     Args:
-        target: whose markers they are.
         calibration: with the layout.
 
     Raises:
@@ -148,7 +145,7 @@ def plot_marker_layout(target: Target, calibration: MocapCalibration) -> Figure:
     """
     figure = new_figure(9.0, 6.6)
     axes = plain(figure.subplots(), equal=True)
-    layout, sigma = calibration.marker_layout, calibration.layout_sigma
+    target, layout, sigma = calibration.target, calibration.marker_layout, calibration.layout_sigma
     offsets = layout - target.vertices
     size = float(np.ptp(target.polygon, axis=0).max())
     factor = magnification(np.linalg.norm(offsets, axis=1), size)

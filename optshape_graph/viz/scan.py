@@ -12,7 +12,7 @@ from optshape_graph.detection import Detections, Rejection
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import apply
 from optshape_graph.simulation import SimulatedScan
-from optshape_graph.viz.style import INK, PALE, VERMILLION, literal, new_figure, plain, short
+from optshape_graph.viz.style import INK, PALE, VERMILLION, colour, literal, new_figure, outline, plain, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,6 +58,28 @@ def plot_detections(scan: Scan, detections: Detections) -> Figure:
         above.legend(loc="upper right", fontsize=9)
     n = len(detections.found)
     figure.suptitle(f"{short(scan.name)}: {n} target{'' if n == 1 else 's'} found among {len(scan)} returns")
+    return figure
+
+
+def plot_found(detections: Detections) -> Figure:
+    """Draw what was found in a scan from above: outlines of targets, crosses for what was turned down.
+
+    Args:
+        detections: what was found.
+
+    Raises:
+        MissingExtraError: matplotlib is absent.
+    """
+    figure = new_figure(6.0, 5.0)
+    axes = plain(figure.subplots(), equal=True)
+    axes.plot(0.0, 0.0, "^", color=INK, label="LiDAR")
+    for k, one in enumerate(detections.found):
+        outline(axes, one.estimate.vertices[:, :2], colour(k), label=literal(f"{one.target.name}, {one.status}"))
+    if detections.rejected:
+        centres = np.array([one.centre for one in detections.rejected])
+        axes.plot(centres[:, 0], centres[:, 1], "x", color=INK, label="looked at, and no target")
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+    axes.legend(fontsize=9)
     return figure
 
 

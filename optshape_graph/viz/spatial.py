@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.se3 import apply
@@ -25,8 +25,8 @@ RANGES = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [2
 """Colours of ranges, near to far: viridis."""
 
 
-@dataclass(frozen=True, eq=False)
-class Points:
+@dataclass(frozen=True, eq=False, repr=False)
+class Points(Value):
     """Points in space.
 
     Attributes:
@@ -44,8 +44,8 @@ class Points:
     step: int | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Lines:
+@dataclass(frozen=True, eq=False, repr=False)
+class Lines(Value):
     """Lines in space, each through several points.
 
     Attributes:
@@ -65,8 +65,8 @@ class Lines:
     step: int | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Spatial:
+@dataclass(frozen=True, eq=False, repr=False)
+class Spatial(Value):
     """All there is to see.
 
     Attributes:

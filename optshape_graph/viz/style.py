@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
@@ -66,11 +65,6 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, stream.getvalue())
     return path
-
-
-def file_name(text: str) -> str:
-    """Return a text as part of a file's name: a target may be called anything, `../../etc` included."""
-    return re.sub(r"[^\w.+@-]+", "_", text)[:100].lstrip(".") or "_"
 
 
 def colour(k: int) -> str:

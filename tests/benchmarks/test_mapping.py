@@ -305,7 +305,7 @@ def test_moving_against_standing_still(capsys):
         skewed = scanned(T, seed, moving=True)
         still.append(pose_error(PAPER, estimate_pose(scanned(T, seed, moving=False), PAPER).T_lidar_target, T).rmse)
         ignored.append(pose_error(PAPER, estimate_pose(skewed, PAPER).T_lidar_target, T).rmse)
-        values, _, middle = solve_one(skewed, seed)
+        values, middle = solve_one(skewed, seed)
         moving.append(pose_error(PAPER, inverse(middle) @ values.atPose3(L(0)).matrix(), T).rmse)
     rms = [float(np.sqrt(np.mean(np.square(x)))) for x in (still, ignored, moving)]
     with capsys.disabled():

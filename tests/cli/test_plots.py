@@ -84,5 +84,5 @@ def test_an_absent_matplotlib_is_told_before_the_work(monkeypatch, tmp_path):
 
 
 def test_scans_of_one_name_do_not_overwrite_each_other():
-    paths = [Path("a/scan.pcd"), Path("b/scan.pcd"), Path("b/other.pcd")]
-    assert names_of(paths) == ["000_scan", "001_scan", "other"]
+    paths = ["a/scan.pcd", "b/scan.pcd", "b/other.pcd"]
+    assert list(names_of(paths).values()) == ["000_scan", "001_scan", "other"]

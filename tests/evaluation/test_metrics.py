@@ -48,7 +48,7 @@ def test_errors_are_modulo_the_target_symmetry(name):
     assert np.degrees(expected.e_r) < 3
     covariance = np.diag([1e-3, 2e-3, 3e-3, 1e-4, 2e-4, 3e-4])
     nees = normalised_error(target, T, covariance, TRUTH).nees
-    for rotation in target.symmetry_rotations:
+    for rotation in target.symmetry_transforms[:, :3, :3]:
         S = np.eye(4)
         S[:3, :3] = rotation
         turned = pose_error(target, T @ S, TRUTH)

@@ -93,7 +93,7 @@ def test_landmarks_are_compared_modulo_symmetry():
     square = Target.from_polygon([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)], "square")
     T = random_pose(np.random.default_rng(3))
     quarter = np.eye(4)
-    quarter[:3, :3] = square.symmetry_rotations[1]
+    quarter[:3, :3] = square.symmetry_transforms[1, :3, :3]
     C = np.diag(np.square([0.01, 0.02, 0.03, 0.01, 0.02, 0.03]))
     xi = np.array([0.01, 0.0, 0.0, 0.0, 0.02, 0.0])
     estimated = Map((Landmark("a", square, retract(T, xi) @ quarter, C), Landmark("b", TARGET, T, C)))

@@ -35,7 +35,7 @@ from optshape_graph.io.clouds.lzf import lzf_decompress
 from optshape_graph.io.documents import read_json, write_json
 from optshape_graph.io.mocap import read_mocap
 from optshape_graph.io.recordings import Recording
-from optshape_graph.io.trajectories import read_g2o, read_kitti, read_tum
+from optshape_graph.io.trajectories import read_g2o, read_kitti, read_trajectory, read_tum
 
 VLP16 = load_sensor("vlp16")
 PAPER = load_target("paper")
@@ -128,6 +128,37 @@ def csvs(_: Path) -> list[bytes]:
     rows = [",".join(str(x) for x in row) for row in table()]
     text = "\n".join(["x,y,z,intensity,ring,time", *rows]) + "\n"
     return [text.replace(",", delimiter).encode() for delimiter in ",;\t "]
+
+
+def other_texts(_: Path) -> list[bytes]:
+    """Tables as other programs write them, and one without names."""
+    rows = [",".join(str(x) for x in row) for row in table()]
+    heads = ("x (mm),y (mm),z (mm),i,RING,TIMESTAMP (ns)", "Points:0,Points:1,Points:2,i,laser_id,adjustedtime",
+             "//X,Y,Z,a,scalar_ring,t_us", "# made\nx,y,z,a,layer,time_stamp")  # fmt: skip
+    body = "\n".join(rows) + "\n"
+    return [f"{head}\n{body}".encode() for head in heads] + [
+        body.encode(),
+        body.replace(",", ";").replace(".", ",").encode(),
+    ]
+
+
+def read_named(path: Path) -> object:
+    return read_scan(path, VLP16, ["x", "y", "z", "_", "ring", "t"])
+
+
+def floats(_: Path) -> list[bytes]:
+    values = np.column_stack([scan().points, scan().intensity, scan().ring]).astype("<f4")
+    return [values[:, :4].tobytes(), values.tobytes(), np.column_stack([values, values[:, 0]]).astype("<f4").tobytes()]
+
+
+def npys(_: Path) -> list[bytes]:
+    content = []
+    wide = np.column_stack([scan().points, scan().intensity, scan().ring, scan().time])
+    for array in (scan().points, table(), wide[:, :4], wide):
+        stream = io.BytesIO()
+        np.save(stream, array)
+        content.append(stream.getvalue())
+    return content
 
 
 def npz_archives(_: Path) -> list[bytes]:
@@ -351,10 +382,17 @@ def results(folder: Path) -> list[bytes]:
     return [*made, *maps(folder)]
 
 
+def makers(_: Path) -> list[bytes]:
+    from tests.io import test_oddities as odd
+
+    return [text.encode() for _, text, _ in odd.SENSORS.values()]
+
+
 def camera_files(_: Path) -> list[bytes]:
     from tests.io import test_cameras as texts
 
-    forms = (texts.OWN, texts.ROS_FILE, texts.ROS_MESSAGE, texts.ROS2_MESSAGE, texts.KALIBR)
+    forms = (texts.OWN, texts.ROS_FILE, texts.ROS_MESSAGE, texts.ROS2_MESSAGE, texts.KALIBR, texts.OPENCV, texts.EUROC,
+             texts.NUMBERS, texts.CAMODOCAL, texts.ORB, texts.ROS_INI, texts.OPENCV_XML)  # fmt: skip
     return [text.encode() for text in forms]
 
 
@@ -363,6 +401,12 @@ def camera_files(_: Path) -> list[bytes]:
 
 def tums(_: Path) -> list[bytes]:
     return [b"# stamp tx ty tz qx qy qz qw\n0 1 2 3 0 0 0 1\n1.5 1 2 3 0.5 0.5 0.5 0.5\n"]
+
+
+def trajectories(_: Path) -> list[bytes]:
+    from tests.io import test_oddities as odd
+
+    return [text.encode() for _, text, _, _ in odd.TRAJECTORIES.values()]
 
 
 def kittis(_: Path) -> list[bytes]:
@@ -379,6 +423,29 @@ def exports(_: Path) -> list[bytes]:
     from tests.io.test_mocap import motive_csv, vicon_csv
 
     return [motive_csv().encode(), vicon_csv().encode()]
+
+
+def trcs(_: Path) -> list[bytes]:
+    from tests.io import test_oddities as odd
+
+    return [odd.TRC.encode(), odd.BODIES.format(kind="Rigid Body").encode()]
+
+
+def captures(_: Path) -> list[bytes]:
+    from tests.io.recordings.test_packets import pcap, velodyne
+
+    return [pcap(velodyne(0.05)), pcap([(1.0, bytes(1248))])]
+
+
+def describe(path: Path) -> object:
+    from optshape_graph.io.describe import describe
+
+    return describe(path)
+
+
+def everything(folder: Path) -> list[bytes]:
+    makers_of = (csvs, floats, npys, pcds, plys, trajectories, trcs, makers, camera_files, stamps)
+    return [seed for make in makers_of for seed in make(folder)]
 
 
 def tsvs(_: Path) -> list[bytes]:
@@ -489,7 +556,9 @@ def decode(ros: int) -> Callable[[Path], None]:
         data = path.read_bytes()
         if not data:
             return
-        types = sorted(messages.SCANS | messages.IMAGES | messages.CAMERAS | messages.POSES | messages.TRANSFORMS)
+        types = sorted(
+            messages.SCANS | messages.IMAGES | messages.CAMERAS | messages.POSES | messages.TRANSFORMS | {messages.PATH}
+        )
         kind, data = types[data[0] % len(types)], data[1:]
         with suppress(_bad_message()):
             if kind in messages.SCANS:
@@ -500,6 +569,8 @@ def decode(ros: int) -> Callable[[Path], None]:
                 messages.decode_camera(ros, kind, data)
             elif kind in messages.POSES:
                 messages.decode_pose(ros, kind, data)
+            elif kind == messages.PATH:
+                messages.decode_path(ros, data)
             else:
                 list(messages.decode_transform(ros, kind, data, "map", "lidar"))
 
@@ -511,7 +582,9 @@ def messages_of(storage: str) -> Callable[[Path], list[bytes]]:
         from optshape_graph.io.recordings import messages
         from tests.io.recordings.writing import maker
 
-        types = sorted(messages.SCANS | messages.IMAGES | messages.CAMERAS | messages.POSES | messages.TRANSFORMS)
+        types = sorted(
+            messages.SCANS | messages.IMAGES | messages.CAMERAS | messages.POSES | messages.TRANSFORMS | {messages.PATH}
+        )
         make, sent = maker(storage), [message for _, message in _messages(storage)]
         return [bytes([types.index(message.__msgtype__)]) + make.serialize(message) for message in sent]
 
@@ -550,7 +623,16 @@ READERS: dict[str, Reader] = {
     "pcd": Reader(clouds(".pcd", pcds)),
     "ply": Reader(clouds(".ply", plys)),
     "npz": Reader((*clouds(".npz", npz_archives), Form("array.npy", read_in_archive, arrays))),
-    "csv": Reader(clouds(".csv", csvs)),
+    "csv": Reader((*clouds(".csv", csvs), *clouds(".txt", other_texts), Form("named.txt", read_named, other_texts))),
+    "floats": Reader((
+        *clouds(".bin", floats), Form("a.pcd.bin", read_scan, floats), Form("b.bin", read_named, floats),
+    )),
+    "npy": Reader((*clouds(".npy", npys), Form("named.npy", read_named, npys))),
+    "maker": Reader(tuple(Form(f"unit{ending}", load_sensor, makers) for ending in (".json", ".yaml", ".csv"))),
+    "capture": Reader((Form("a.pcap", read_recording, captures),)),
+    "any": Reader(tuple(
+        Form(f"a{ending}", describe, everything) for ending in (".csv", ".txt", ".yaml", ".json", "", ".bin")
+    )),
     "lzf": Reader((Form("a.lzf", read_lzf, lzfs),)),
     "yaml": Reader(
         (
@@ -577,15 +659,19 @@ READERS: dict[str, Reader] = {
         Form("camera.yaml", load_camera, camera_files),
         Form("camera.json", load_camera, lambda _: [b'{"schema": "optshape/camera/1", "model": "pinhole", "width": 64, '
              b'"height": 48, "K": [[50, 0, 32], [0, 50, 24], [0, 0, 1]], "D": []}']),
+        Form("camera.xml", load_camera, camera_files),
     )),
     "trajectory": Reader((
         Form("a.tum", read_tum, tums), Form("a.kitti", read_kitti, kittis), Form("a.g2o", read_g2o, g2os),
+        Form("a.txt", read_trajectory, trajectories),
     )),
     "markers": Reader((
         Form("m.csv", read_markers, lambda _: [MARKERS.encode()]),
         Form("mm.csv", lambda path: read_markers(path, "mm"), lambda _: [MARKERS.replace("2.5", "2500").encode()]),
     )),
-    "mocap": Reader((Form("a.csv", read_mocap, exports), Form("a.tsv", read_mocap, tsvs))),
+    "mocap": Reader((
+        Form("a.csv", read_mocap, exports), Form("a.tsv", read_mocap, tsvs), Form("a.trc", read_mocap, trcs),
+    )),
     "mocap-binary": Reader((
         Form("a.c3d", read_mocap, binary_of("c3d")), Form("a.mat", read_mocap, binary_of("mat")),
     )),

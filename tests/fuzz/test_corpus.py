@@ -20,6 +20,8 @@ NEEDS = {
     "message": ["rosbags", "cv2"],
     "image": ["cv2"],
     "mocap-binary": ["ezc3d"],
+    "capture": ["velodyne_decoder"],
+    "any": ["cv2"],
     "yaml": ["cv2"],
 }
 

@@ -8,6 +8,10 @@ from optshape_graph.graph.linear import LinearSystem
 from tests.factors.support import random_pose
 
 
+def of(graph, values):
+    return LinearSystem.of(graph.linearize(values), values)
+
+
 def chain(rng, n, prior=True):
     """Return a chain of poses and its values, with a prior at the start if wanted."""
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -25,7 +29,7 @@ def chain(rng, n, prior=True):
 @pytest.mark.parametrize("n", [6, 150])  # below and above the limit of the dense eigenvalues
 def test_covariances_are_gtsams(n):
     graph, values = chain(np.random.default_rng(0), n)
-    system = LinearSystem.of(graph, values)
+    system = of(graph, values)
     assert (system.A.shape[1] > linear.DENSE_LIMIT) == (n > 100)
     marginals = gtsam.Marginals(graph, values)
     keys = [X(3), X(1)]
@@ -39,7 +43,7 @@ def test_covariances_are_gtsams(n):
 @pytest.mark.parametrize("n", [6, 150])
 def test_free_gauge_has_six_directions(n):
     graph, values = chain(np.random.default_rng(1), n, prior=False)
-    system = LinearSystem.of(graph, values)
+    system = of(graph, values)
     null = system.unobservable
     assert null.shape[1] == 6
     assert np.abs(system.A @ null).max() < 1e-5 * np.abs(system.A).max() * np.abs(null).max()
@@ -48,7 +52,7 @@ def test_free_gauge_has_six_directions(n):
 def test_a_variable_that_no_factor_touches_is_not_observable():
     graph, values = chain(np.random.default_rng(2), 3)
     values.insert(X(9), gtsam.Pose3())
-    system = LinearSystem.of(graph, values)
+    system = of(graph, values)
     null = system.unobservable
     assert null.shape[1] == 6
     assert np.abs(null[system.columns[X(9)]]).max() > 0.9
@@ -60,7 +64,7 @@ def test_decrement_is_what_a_step_gains():
     graph, values = chain(rng, 4)
     moved = values.retract(values.zeroVectors())
     moved.update(X(2), values.atPose3(X(2)).retract(1e-3 * rng.normal(size=6)))
-    system = LinearSystem.of(graph, moved)
+    system = of(graph, moved)
     step = graph.linearize(moved).optimize()
     gained = graph.error(moved) - graph.error(moved.retract(step))
     assert system.decrement == pytest.approx(gained, rel=0.02)

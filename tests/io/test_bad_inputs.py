@@ -97,8 +97,8 @@ def scene(content: str, *parts: str) -> tuple[str, Files, tuple[str, ...]]:
 ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     # clouds
     "no such cloud": (ESTIMATE.format("b.pcd"), {}, ("b.pcd: no such file",)),
-    "a folder as cloud": (ESTIMATE.format("."), {}, (".: expected a cloud ending in .pcd, .ply, .npz, .csv, found ''",)),
-    "unknown ending": cloud("a.xyz", "1 2 3", ": expected a cloud ending in .pcd, .ply, .npz, .csv, found '.xyz'"),
+    "a folder as cloud": (ESTIMATE.format("."), {}, (".: no clouds in the folder (.pcd, .ply, .npz)",)),
+    "unknown ending": cloud("a.xls", "1 2 3", ": expected a cloud ending in .pcd, .ply, .npz, .npy, .csv, ", "found '.xls'"),
     "empty PCD": cloud("a.pcd", "", "its header has no line 'DATA ...'"),
     "text as PCD": cloud("a.pcd", "hello there\n", "expected one of the keywords VERSION", "found 'hello'"),
     "PCD cut off": cloud("a.pcd", PCD.replace("ascii", "binary") + "abc", "promises 2 points of 16 bytes, 32 in all", "3 bytes"),
@@ -112,7 +112,7 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     "PCD with a point missing": cloud("a.pcd", PCD + "5 0 0 0\n", "promises 2 points, 1 lines of points"),
     "PCD without coordinates": cloud("a.pcd", PCD.replace("x y z", "a b c") + POINTS, "expected columns x, y, z", "found: a, b, c, ring"),
     "PCD without a return": cloud("a.pcd", PCD + "0 0 0 0\nnan 1 1 1\n", "no returns (2 points, all at the origin, not finite"),
-    "PCD in millimetres": cloud("a.pcd", PCD + "5000 0 0 0\n5000 1 1 1\n", "beyond 5000 m; expected metres (millimetres?)"),
+    "PCD in millimetres": cloud("a.pcd", PCD + "5000 0 0 0\n5000 1 1 1\n", "beyond 5000 m; expected metres from the LiDAR (millimetres, or coordinates of a map?)"),
     "rings that are no integers": cloud("a.csv", "x,y,z,ring\n5,0,0,0.5\n5,0,1,1\n", "expected ring numbers as integers from 0, found 0.5"),
     "compressed PCD that is damaged": cloud(
         "a.pcd", PCD.replace("ascii", "binary_compressed").encode() + struct.pack("<II", 2, 32) + b"\xff\xff",
@@ -129,7 +129,7 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     "NPZ of objects": cloud("a.npz", npz(xyz=np.array([{}], dtype=object)), "'xyz.npy' holds Python objects; expected numbers"),
     "NPZ of another shape": cloud("a.npz", npz(xyz=np.ones((4, 2))), "'xyz' is float64 of shape (4, 2), expected N x 3"),
     "CSV without names": cloud("a.csv", "1,2,3\n", "expected a first line that names the columns, as x,y,z,ring; found '1,2,3'"),
-    "CSV with a column twice": cloud("a.csv", "x,y,z,x\n1,2,3,4\n", "a column is named twice: x, y, z, x"),
+    "CSV with a column twice": cloud("a.csv", "x,y,z,x\n1,2,3,4\n", "a column is named twice: x, x"),
     "CSV with a word": cloud("a.csv", "x,y,z\n1,2,tall\n", ":2: could not convert string 'tall' to float64 in column 3"),
     "a sensor of other rings": (
         "detect a.csv --target paper --sensor vlp16", {"a.csv": "x,y,z,ring\n5,0,3,0\n5,1,3,0\n5,0,4,1\n5,1,4,1\n"},
@@ -214,7 +214,7 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     # maps and trajectories
     "odometry with a word": (MAPPED + "--odometry o.tum", {"o.tum": "0 0 0 0 0 0 0 one\n"}, ("o.tum:1: could not convert string to float: 'one'",)),
     "odometry that is no rotation": (MAPPED + "--odometry o.tum", {"o.tum": "0 0 0 0 0 0 0 2\n"}, ("o.tum:1: quaternion [0.0, 0.0, 0.0, 2.0] has norm 2; expected 1",)),
-    "odometry that goes back": (MAPPED + "--odometry o.tum", {"o.tum": "1 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n"}, ("o.tum: stamp 0.000000000 of pose 1 does not exceed 1.000000000",)),
+    "odometry that goes back": (MAPPED + "--odometry o.tum", {"o.tum": "1 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n"}, ("o.tum:2: stamp 0.000000000 does not exceed 1.000000000",)),
     "map that is no JSON": (MAPPED + "--known k.json", {"k.json": "{", "folder/timestamps.txt": "1\n", "folder/a.pcd": PCD + POINTS}, ("k.json:1: not JSON",)),
     "map with a pose that is none": (
         MAPPED + "--known k.json", {"k.json": MAP.replace("[[1, 0, 0, 0]", "[[2, 0, 0, 0]"), "folder/timestamps.txt": "1\n", "folder/a.pcd": PCD + POINTS},

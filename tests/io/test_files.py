@@ -110,6 +110,9 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         read_bytes(tmp_path / "long", largest=4)
     with pytest.raises(InputError, match="expected UTF-8 text, found byte 0xe9 at position 3"):
         read_text(tmp_path / "latin")
-    with pytest.raises(InputError, match="larger than"):
-        read_bytes("/dev/zero", largest=1000)
+    with pytest.raises(InputError, match="/dev/zero: expected a file, found a device"):
+        read_bytes("/dev/zero")
+    os.mkfifo(tmp_path / "fifo")
+    with pytest.raises(InputError, match="expected a file, found a named pipe"):
+        read_bytes(tmp_path / "fifo")
     assert read_text(tmp_path / "bom") == "x"

@@ -58,7 +58,7 @@ def test_real_markers() -> None:
         ("frame,marker,x,y,z\n", "m", "no markers after the first line"),
         ("frame,marker,x,y,z\n0,a,1,2\n", "m", r"bad\.csv:2: expected 5 values, found 4"),
         ("frame,marker,x,y,z\n0.5,a,1,2,3\n", "m", r"bad\.csv:2: expected a frame number, found '0\.5'"),
-        ("frame,marker,x,y,z\n0,,1,2,3\n", "m", r"bad\.csv:2: the marker has no name"),
+        ("frame,marker,x,y,z\n0,,1,2,3\n", "m", r"bad\.csv: no markers after the first line"),
         ("frame,marker,x,y,z\n0,a,1,two,3\n", "m", r"bad\.csv:2: expected a coordinate, found 'two'"),
         ("frame,marker,x,y,z\n0,a,1,inf,3\n", "m", r"bad\.csv:2: expected a finite coordinate, found 'inf'"),
         ("frame,marker,x,y,z\n0,a,1,,3\n", "m", r"bad\.csv:2: marker 'a' has some coordinates only"),
@@ -79,3 +79,20 @@ def test_files_that_are_refused(tmp_path: Path, text: str, units: str, message: 
     with pytest.raises(InputError, match=message) as raised:
         read_markers(path, units)
     assert str(raised.value).startswith(str(path))
+
+
+def test_unnamed_markers_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "m.csv"
+    path.write_text("frame,marker,x,y,z\n0,a,0,0,0\n0,,9,9,9\n0,,8,8,8\n0,b,1,0,0\n")
+    assert read_markers(path).names == ("a", "b")
+
+
+def test_exports_are_read_with_their_own_unit(tmp_path: Path) -> None:
+    path = tmp_path / "m.tsv"
+    path.write_text(
+        "NO_OF_FRAMES\t2\nNO_OF_CAMERAS\t8\nNO_OF_MARKERS\t2\nFREQUENCY\t100\nDATA_INCLUDED\t3D\n"
+        "MARKER_NAMES\tcorner0\tcorner1\n0\t0\t0\t1000\t0\t0\n10\t0\t0\t1010\t0\t0\n"
+    )
+    markers = read_markers(path, "m")
+    np.testing.assert_allclose(markers.frames[1]["corner1"], [1.01, 0, 0])
+    assert np.isnan(markers.frames[0]["corner0"]).all()  # three zeros are a gap there

@@ -200,7 +200,6 @@ def test_subjects_of_vicon_stay_in_the_names(tmp_path):
         ("a.csv", motive_csv().replace("120.000000", "fast"), "expected a number as Export Frame Rate"),
         ("a.csv", vicon_csv("kg"), "unit of length 'kg'"),
         ("a.tsv", qualisys_tsv("0", 2, True).replace("FREQUENCY\t200", "FREQUENCY\t0"), "rate 0.0 Hz"),
-        ("a.tsv", qualisys_tsv("0", 2, True, ("a", "a", "b", "c")), "several markers are called 'a'"),
         ("a.tsv", "", "the file is empty"),
         ("a.mat", "no", "not a readable mat file"),
         ("a.xlsx", "", "motion capture is read from"),

@@ -96,7 +96,8 @@ def test_a_full_disk_leaves_nothing_and_says_so(
     last = error.splitlines()[-1]
     assert last.startswith("optshape: error: ")
     assert last.endswith("cannot be written (No space left on device)")
-    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+    left = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert [path for path in left if path.suffix != ".journal"] == []  # what is finished is kept for the next time
 
 
 @pytest.fixture

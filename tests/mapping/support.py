@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph import Target
-from optshape_graph.mapping.sighting import Sighting
+from optshape_graph.mapping.track import Sighting
 from optshape_graph.se3 import inverse
 from tests.factors.support import TARGET, measure, retract
 

@@ -106,7 +106,7 @@ def test_covariance_is_consistent(name: str, distance: float, shots: int) -> Non
 
 def equivalents(target: object, T: np.ndarray) -> list[np.ndarray]:
     turned = []
-    for S in target.symmetry_rotations:  # type: ignore[attr-defined]
+    for S in target.symmetry_transforms[:, :3, :3]:  # type: ignore[attr-defined]
         other = T.copy()
         other[:3, :3] = T[:3, :3] @ S
         turned.append(other)

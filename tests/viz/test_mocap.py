@@ -8,10 +8,8 @@ import pytest
 pytest.importorskip("matplotlib")
 
 import optshape_graph
-from optshape_graph.calibration.mocap.calibrate import calibrate_mocap
+from optshape_graph.calibration.mocap import calibrate_mocap
 from optshape_graph.calibration.mocap.comparison import mean_error
-from optshape_graph.calibration.mocap.session import load_mocap_scans
-from optshape_graph.io import load_session
 from optshape_graph.viz import mocap as viz
 from tests.viz.legible import assert_legible
 
@@ -20,8 +18,8 @@ DEMO = Path(optshape_graph.__file__).parent / "data/demo/session.yaml"
 
 @pytest.fixture(scope="module")
 def calibrated():
-    scans, _ = load_mocap_scans(load_session(DEMO))
-    return scans, calibrate_mocap(scans)
+    calibration = calibrate_mocap(DEMO)
+    return calibration.scans, calibration
 
 
 def test_errors_are_those_of_the_calibration(calibrated):
@@ -52,7 +50,7 @@ def test_methods_stand_side_by_side_even_where_one_has_no_number(calibrated):
 
 def test_placements_show_targets_and_markers_in_one_frame(calibrated):
     scans, calibration = calibrated
-    figure = viz.plot_placements(scans, calibration)
+    figure = viz.plot_placements(calibration)
     assert_legible(figure)
     lines = figure.axes[0].lines[1:]
     for scan, target, markers in zip(scans, lines[::2], lines[1::2], strict=True):
@@ -62,7 +60,7 @@ def test_placements_show_targets_and_markers_in_one_frame(calibrated):
 
 def test_the_layout_tells_how_far_markers_are(calibrated):
     scans, calibration = calibrated
-    figure = viz.plot_marker_layout(scans[0].estimate.target, calibration)
+    figure = viz.plot_marker_layout(calibration)
     assert_legible(figure)
     offsets = 1e3 * np.linalg.norm(calibration.marker_layout - scans[0].estimate.target.vertices, axis=1)
     texts = [text.get_text() for text in figure.legends[0].get_texts()]

@@ -8,7 +8,8 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from optshape_graph import InputError, MissingExtraError
-from optshape_graph.viz.style import ellipse, file_name, magnification, new_figure, plain, save_figure, short
+from optshape_graph.names import file_name
+from optshape_graph.viz.style import ellipse, magnification, new_figure, plain, save_figure, short
 
 
 def test_an_absent_matplotlib_says_what_to_install(monkeypatch):

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.consistency import (
     LIMIT,
     describe,
@@ -45,8 +45,8 @@ Progress = Callable[[int, int], None]
 """Called with how many solutions are done, and how many there are."""
 
 
-@dataclass(frozen=True, eq=False)
-class ViewResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class ViewResult(Value):
     """What became of a view.
 
     Attributes:
@@ -63,8 +63,8 @@ class ViewResult:
     errors: ViewErrors | None
 
 
-@dataclass(frozen=True, eq=False)
-class CameraCalibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class CameraCalibration(Value):
     """The sensors' places, and how far to trust them.
 
     Attributes:

@@ -24,7 +24,7 @@ import gtsam
 import gtsam_unstable
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.projection import normalised, projection_derivative
@@ -91,8 +91,8 @@ def coupling_factor(
     return CheckedFactor(evaluate, 6, used, [1 if key == k_bias else 6 for key in used])
 
 
-@dataclass(frozen=True, eq=False)
-class CompiledCamera:
+@dataclass(frozen=True, eq=False, repr=False)
+class CompiledCamera(Value):
     """A camera in the form in which GTSAM projects.
 
     Attributes:

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, K, L, O, P, S, W
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.factors import (
     INTRINSICS_SIGMA,
     OFFSET_SIGMA_M,
@@ -39,8 +39,8 @@ class Unknowns:
     intrinsics: bool | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Sighting:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sighting(Value):
     """A sighting with its place in the graph.
 
     Attributes:
@@ -82,8 +82,8 @@ class Discrepancy:
         return np.repeat([self.rotation, self.translation], 3)
 
 
-@dataclass(frozen=True, eq=False)
-class Rig:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rig(Value):
     """Where the sensors are, and where they saw the targets.
 
     Attributes:

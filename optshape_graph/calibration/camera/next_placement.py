@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.graph import Sighting
 from optshape_graph.calibration.camera.observability import principal_directions
 from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan
@@ -30,8 +30,8 @@ TILTS_DEG = (-35.0, 0.0, 35.0)
 """Angles about the vertical and about the horizontal by which the target is tried turned from facing the LiDAR."""
 
 
-@dataclass(frozen=True, eq=False)
-class NextPlacement:
+@dataclass(frozen=True, eq=False, repr=False)
+class NextPlacement(Value):
     """A placement of the target that was not taken yet.
 
     Attributes:

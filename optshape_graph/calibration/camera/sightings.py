@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import PlanarPose
 from optshape_graph.camera import CameraIntrinsics
@@ -17,8 +17,8 @@ from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False)
-class TargetInScan:
+@dataclass(frozen=True, eq=False, repr=False)
+class TargetInScan(Value):
     """One target in one scan.
 
     Attributes:
@@ -72,8 +72,8 @@ class TargetInScan:
         return T
 
 
-@dataclass(frozen=True, eq=False)
-class TargetInImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class TargetInImage(Value):
     """One target in one image.
 
     Attributes:
@@ -89,8 +89,8 @@ class TargetInImage:
     poses: tuple[PlanarPose, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class View:
+@dataclass(frozen=True, eq=False, repr=False)
+class View(Value):
     """One target, in one place, seen by a LiDAR, a camera or both at one time.
 
     Attributes:
@@ -117,8 +117,8 @@ class View:
         return " / ".join(name for name in (self.scan_name, self.image_name) if name)
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
+@dataclass(frozen=True, eq=False, repr=False)
+class Candidate(Value):
     """One way to read a sighting.
 
     Attributes:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
-from optshape_graph.calibration.camera.consensus import CUT, Consensus, distances, relative_pose
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.graph import Rig, Sighting
 from optshape_graph.calibration.camera.sightings import Candidate, TargetInImage, TargetInScan, View, candidates
+from optshape_graph.calibration.consensus import CUT, Consensus, distances, relative_pose
 from optshape_graph.errors import EstimationError, UnobservableError
 from optshape_graph.se3 import inverse
 
@@ -18,8 +18,8 @@ AMBIGUOUS = 4.0
 """Truncated cost by which the best relative pose has to beat every different one; a view adds at most 9."""
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
+@dataclass(frozen=True, eq=False, repr=False)
+class Start(Value):
     """Where the graph starts.
 
     Attributes:
@@ -33,8 +33,8 @@ class Start:
     agreeing: frozenset[int]
 
 
-@dataclass(frozen=True, eq=False)
-class _Reading:
+@dataclass(frozen=True, eq=False, repr=False)
+class _Reading(Value):
     """A sighting with all its candidates."""
 
     views: tuple[int, ...]

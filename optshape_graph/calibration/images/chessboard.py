@@ -13,6 +13,9 @@ from optshape_graph.target import Chessboard
 CORNER_SIGMA_PX = 0.2
 """Standard deviation of a corner: what sub-pixel refinement leaves in a sharp image."""
 
+REDUCED_PX, SMALL_PX = 960, 640
+"""Longer sides of the reduced images in which a board is looked for first, and in which other counts are tried."""
+
 WINDOW = (0.25, 3, 11)
 """Half the side of the refinement window: a share of the distance between corners, and its limits, px."""
 
@@ -26,7 +29,7 @@ def chessboard_points(board: Chessboard) -> Floats:
     return np.column_stack([np.zeros(yy.size), yy.ravel(), zz.ravel()])
 
 
-def find_chessboard(image: np.ndarray, board: Chessboard) -> ImagePoints:
+def find_chessboard(image: np.ndarray, board: Chessboard, thorough: bool = True) -> ImagePoints:
     """Find the inner corners of a chessboard.
 
     The grid looks the same after half a turn (a square one after a quarter), so which corner comes first is
@@ -35,12 +38,16 @@ def find_chessboard(image: np.ndarray, board: Chessboard) -> ImagePoints:
     Args:
         image: (h, w) grey image, 8 bit.
         board: the pattern.
+        thorough: whether a board that a reduced image does not show is looked for in the full one, which takes ten
+            times as long.
 
     Raises:
         EstimationError: the chessboard is not found.
     """
     n_z, n_y = board.inner_corners
-    corners = _find(image, (n_z, n_y))
+    corners = _find_reduced(image, (n_z, n_y), REDUCED_PX)
+    if corners is None and thorough and max(image.shape) > REDUCED_PX:
+        corners = _find(image, (n_z, n_y))
     if corners is None:
         raise EstimationError(f"no chessboard of {n_z} x {n_y} inner corners found in the image")
     grid = _refined(image, corners.reshape(n_y, n_z, 2))
@@ -51,6 +58,31 @@ def find_chessboard(image: np.ndarray, board: Chessboard) -> ImagePoints:
     quarters = (0, 1, 2, 3) if n_z == n_y else (0, 2)
     symmetries = tuple(turn_about(board.offset, k * np.pi / 2) for k in quarters)
     return ImagePoints.of_pattern(chessboard_points(board), grid.reshape(-1, 2), CORNER_SIGMA_PX, symmetries)
+
+
+def other_counts(image: np.ndarray, board: Chessboard) -> tuple[int, int] | None:
+    """Return the inner corners of the chessboard that an image shows if their numbers are others than stated.
+
+    Tried are squares counted for corners, and one row or column more or less.
+
+    Args:
+        image: (h, w) grey image, 8 bit.
+        board: the pattern as stated.
+    """
+    a, b = board.inner_corners
+    for size in ((a - 1, b - 1), (a + 1, b + 1), (a - 1, b), (a, b - 1), (a + 1, b), (a, b + 1)):
+        if min(size) > 2 and _find_reduced(image, size, SMALL_PX) is not None:
+            return size
+    return None
+
+
+def _find_reduced(image: np.ndarray, size: tuple[int, int], longest: int) -> Floats | None:
+    """Look for a board in an image whose longer side is reduced to some pixels; return its corners in the full one."""
+    cv2 = opencv()
+    scale = min(1.0, longest / max(image.shape))
+    small = image if scale == 1.0 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    corners = _find(small, size)
+    return None if corners is None else (corners + 0.5) / scale - 0.5
 
 
 def _find(image: np.ndarray, size: tuple[int, int]) -> Floats | None:

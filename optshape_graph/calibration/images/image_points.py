@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.se3 import apply
 
 
-@dataclass(frozen=True, eq=False)
-class ImagePoints:
+@dataclass(frozen=True, eq=False, repr=False)
+class ImagePoints(Value):
     """Points of a target with their pixels in one image.
 
     Attributes:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.projection import normalised, project, projected, projection_derivative
 from optshape_graph.camera import CameraIntrinsics
@@ -23,8 +23,8 @@ YZX = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 """Target frame to the frame with the target in z = 0, which the homography decomposition expects."""
 
 
-@dataclass(frozen=True, eq=False)
-class PlanarPose:
+@dataclass(frozen=True, eq=False, repr=False)
+class PlanarPose(Value):
     """A minimum of the reprojection error.
 
     Attributes:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from optshape_graph._arrays import Value
 from optshape_graph.calibration.camera.sightings import TargetInImage
 from optshape_graph.calibration.images.chessboard import find_chessboard
 from optshape_graph.calibration.images.image_points import ImagePoints
@@ -29,8 +30,8 @@ LARGEST_ERROR = 5.0
 Published intrinsics leave 0.1 to 0.3 px of a chessboard's 0.2; those of another lens model leave 1.2 px and more."""
 
 
-@dataclass(frozen=True, eq=False)
-class ImageTask:
+@dataclass(frozen=True, eq=False, repr=False)
+class ImageTask(Value):
     """A target to be found in an image.
 
     Attributes:

@@ -1,180 +1,189 @@
-"""Calibration of a LiDAR to motion capture, with scans and markers in one graph.
-
-Unknowns of a session: T_lidar_mocap; the marker layout, a point near each vertex in the target frame; and the target's
-pose in every scan. Each scan's returns constrain its pose through the exact template factor, its markers through the
-layout and T_lidar_mocap. The layout has a prior at the vertices: it alone tells a displacement of all markers from one
-of the frame.
-"""
+"""Calibration of a LiDAR to motion capture: scans and markers of a session in one graph, and judged by itself."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import E, H, M, S
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.mocap.comparison import MocapScan, ScanError, in_sample, leave_one_out, name_alike, tie
+from optshape_graph.calibration.mocap.agreement import Agreement, find_agreement, other_frame, without_fallen_marker
+from optshape_graph.calibration.mocap.comparison import MIN_MARKERS, MocapScan, in_sample, leave_one_out
+from optshape_graph.calibration.mocap.graph import Innovation, MarkerModel, innovations, solve
+from optshape_graph.calibration.mocap.judgement import FEWEST, contradicting, judge
+from optshape_graph.calibration.mocap.layout import CheckedMarkers, marker_out_of_place
+from optshape_graph.calibration.mocap.result import LeftOut, MocapCalibration
+from optshape_graph.calibration.mocap.session import load_mocap_scans
+from optshape_graph.calibration.verdict import Finding
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors import CheckedFactor, TemplateFactor
+from optshape_graph.io.sessions import Session, load_session
 from optshape_graph.pose import refine
-from optshape_graph.se3 import inverse, inverse_covariance, skew
+from optshape_graph.se3 import angle, inverse
 
-MARKER_NOISE = 1e-3
-"""Standard deviation of a marker coordinate, metres: motion capture measures to a millimetre or better."""
-
-LAYOUT_PRIOR = 0.03
-"""Standard deviation of a marker's place about its vertex, metres."""
-
-SCALE_PRIOR = 0.05
-"""Standard deviation of the motion capture's scale about 1, where it is estimated."""
-
-
-@dataclass(frozen=True, eq=False)
-class MocapCalibration:
-    """A LiDAR tied to motion capture.
-
-    Attributes:
-        T_lidar_mocap: (4, 4).
-        covariance: (6, 6) of its right perturbation: rotation first, motion-capture frame. Widened where the scans
-            scatter more than they should.
-        marker_layout: (n, 3) markers, target frame, metres.
-        layout_sigma: (n, 3) their standard deviations, metres.
-        scale: of the motion capture: p_lidar = T_lidar_mocap (scale p_mocap). 1 unless asked for.
-        scale_sigma: its standard deviation; 0 where it was not estimated.
-        T_lidar_target: (4, 4) of each scan, from returns and markers together.
-        scatter: the scans' mean square disagreement with the solution, 1 where the covariances are right.
-        leave_one_out: errors of each scan's LiDAR estimate, the frames tied by all other scans.
-        in_sample: errors with the frames tied by all scans.
-    """
-
-    T_lidar_mocap: Floats
-    covariance: Floats
-    marker_layout: Floats
-    layout_sigma: Floats
-    scale: float
-    scale_sigma: float
-    T_lidar_target: tuple[Floats, ...]
-    scatter: float
-    leave_one_out: tuple[ScanError, ...]
-    in_sample: tuple[ScanError, ...]
-
-    @property
-    def T_mocap_lidar(self) -> Floats:
-        """(4, 4) inverse of T_lidar_mocap."""
-        return inverse(self.T_lidar_mocap)
-
-    @property
-    def covariance_mocap_lidar(self) -> Floats:
-        """(6, 6) of the right perturbation of T_mocap_lidar: rotation first, LiDAR frame."""
-        return inverse_covariance(self.T_lidar_mocap, self.covariance)
+SCALE_OFF = (0.01, 4.0)
+"""Scale by which the motion capture is off at least, and in standard deviations, to be called so."""
 
 
 def calibrate_mocap(
-    scans: Sequence[MocapScan],
+    session: str | Path | Session,
     *,
     estimate_scale: bool = False,
-    marker_noise: float = MARKER_NOISE,
-    layout_prior: float = LAYOUT_PRIOR,
+    marker_noise: float = MarkerModel.noise,
+    layout_prior: float = MarkerModel.layout_prior,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> MocapCalibration:
-    """Calibrate a session, and compare its estimates with the markers.
+    """Calibrate T_lidar_mocap and the marker layout of a session, and say how far to trust them.
+
+    Markers out of place, mixed-up names and scans that contradict the others are put right or left out, and named in
+    the result's `warnings`.
+
+    Args:
+        session: its file, or what `load_session` returned: one LiDAR, one target, motion capture.
+        estimate_scale: estimate the motion capture's scale as well; else it is 1.
+        marker_noise: standard deviation of a marker coordinate, metres.
+        layout_prior: standard deviation of a marker's place about its vertex along each axis, metres.
+        progress: called with the number of scans estimated, and their total.
+
+    Raises:
+        InputError: a session that can't be read or used, or markers in another unit of length.
+        EstimationError: fewer than two scans can be used; or the scans contradict each other so that no calibration
+            can be given, and the message says what seems to be wrong.
+    """
+    loaded = session if isinstance(session, Session) else load_session(session)
+    scans, left_out, checked = load_mocap_scans(loaded, layout_prior, progress)
+    if len(scans) < 2:
+        reasons = "".join(f"; {item.scan}: {item.reason}" for item in left_out)
+        raise EstimationError(
+            f"{loaded.path}: a motion-capture calibration needs at least two scans, found {len(scans)}{reasons}"
+        )
+    findings = list(checked.findings)
+    if checked.doubted:
+        scans, findings = _without_fallen(scans, checked)
+    model = MarkerModel(marker_noise, layout_prior, estimate_scale)
+    return calibrate_scans(scans, model, left_out, findings, str(loaded.path))
+
+
+def calibrate_scans(
+    scans: Sequence[MocapScan],
+    model: MarkerModel | None = None,
+    left_out: Sequence[LeftOut] = (),
+    findings: Sequence[Finding] = (),
+    where: str = "the session",
+) -> MocapCalibration:
+    """Calibrate scans that are estimated already.
 
     Args:
         scans: two at least, all of one target, in one LiDAR and one motion-capture frame.
-        estimate_scale: estimate the motion capture's scale as well.
-        marker_noise: standard deviation of a marker coordinate, metres.
-        layout_prior: standard deviation of a marker's place about its vertex, metres.
+        model: of the markers.
+        left_out: scans that took no part, to be listed in the result.
+        findings: about the markers, to be judged with the rest.
+        where: the session's file, for messages.
 
     Raises:
         InputError: fewer than two scans, scans of different targets, or a scan with fewer than three markers.
-        EstimationError: the graph could not be solved.
+        EstimationError: see `calibrate_mocap`.
     """
     if len(scans) < 2:
         raise InputError(f"a motion-capture calibration needs at least two scans, found {len(scans)}")
     target = scans[0].estimate.target
     if any(not np.array_equal(scan.estimate.target.vertices, target.vertices) for scan in scans):
         raise InputError("a motion-capture calibration is of one target; the scans have several")
-
-    scans = name_alike(scans)
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    values.insert(E(0), gtsam.Pose3(tie(scans)))
-    for k, vertex in enumerate(target.vertices):
-        values.insert(M(k), vertex)
-        graph.push_back(gtsam.PriorFactorPoint3(M(k), vertex, gtsam.noiseModel.Isotropic.Sigma(3, layout_prior)))
-    if estimate_scale:
-        values.insert(S(0), 1.0)
-        graph.push_back(gtsam.PriorFactorDouble(S(0), 1.0, gtsam.noiseModel.Isotropic.Sigma(1, SCALE_PRIOR)))
-    for i, scan in enumerate(scans):
-        values.insert(H(i), gtsam.Pose3(scan.estimate.T_target_lidar))
-        graph.push_back(TemplateFactor(scan.estimate.measurement, H(i)))
-        graph.push_back(marker_factor(scan.markers, i, marker_noise, estimate_scale))
-
-    values = _solve(graph, values)
+    model = model or MarkerModel()
     try:
-        marginals = gtsam.Marginals(graph, values)
-        covariance = marginals.marginalCovariance(E(0))
-        layout = [marginals.marginalCovariance(M(k)) for k in range(len(target))]
-        scale_variance = float(marginals.marginalCovariance(S(0))[0, 0]) if estimate_scale else 0.0
-    except RuntimeError as error:
-        raise EstimationError(f"the session leaves T_lidar_mocap undetermined ({error})") from error
-    T_target_lidar = [values.atPose3(H(i)).matrix() for i in range(len(scans))]
-    scatter = _scatter(scans, T_target_lidar)
+        agreement = find_agreement(scans, where)
+    except EstimationError as error:
+        known = "".join(f"; {finding.text}" for finding in findings)
+        raise EstimationError(f"{error}{known}") from error
+    voted = [int(i) for i in np.flatnonzero(agreement.agreeing)]
+    of_scale = _of_scale(agreement, model, voted)
+    if of_scale:
+        model = replace(model, with_scale=True)
+    used, compared = _robustly(agreement, model, voted)
+    solution = solve(agreement.scans, agreement.T_lidar_mocap, model, used)
+    chosen = tuple(agreement.scans[i] for i in used)
+    rejected = tuple(
+        LeftOut(scan.name, _why(scan, agreement.scans, solution.T_lidar_mocap, compared[i].T_lidar_target))
+        for i, scan in enumerate(agreement.scans) if i not in used
+    )  # fmt: skip
+    scatter = _scatter(chosen, [solution.T_target_lidar[i] for i in used])
     widening = max(1.0, scatter)
     return MocapCalibration(
-        T_lidar_mocap=values.atPose3(E(0)).matrix(),
-        covariance=covariance * widening,
-        marker_layout=np.array([values.atPoint3(M(k)) for k in range(len(target))]),
-        layout_sigma=np.sqrt(np.array([np.diag(block) for block in layout]) * widening),
-        scale=values.atDouble(S(0)) if estimate_scale else 1.0,
-        scale_sigma=float(np.sqrt(scale_variance * widening)),
-        T_lidar_target=tuple(inverse(T) for T in T_target_lidar),
+        T_lidar_mocap=solution.T_lidar_mocap,
+        covariance=solution.covariance * widening,
+        marker_layout=solution.layout,
+        layout_sigma=np.sqrt(np.diagonal(solution.layout_covariance, axis1=1, axis2=2) * widening),
+        scale=solution.scale,
+        scale_sigma=float(solution.scale_sigma * np.sqrt(widening)),
+        T_lidar_target=tuple(inverse(solution.T_target_lidar[i]) for i in used),
         scatter=scatter,
-        leave_one_out=leave_one_out(scans),
-        in_sample=in_sample(scans),
+        chi_square=tuple(compared[i].chi_square for i in used),
+        leave_one_out=leave_one_out(chosen),
+        in_sample=in_sample(chosen),
+        scans=chosen,
+        left_out=(*left_out, *rejected),
+        findings=(*findings, *of_scale, *judge(chosen, solution, model, scatter, compared, used)),
     )
 
 
-def marker_factor(markers: Floats, i: int, sigma: float, with_scale: bool) -> gtsam.CustomFactor:
-    """Return the factor of one scan's markers: H_i T_lidar_mocap (s q_k) - m_k for every marker that was seen.
+def _without_fallen(scans: Sequence[MocapScan], checked: CheckedMarkers) -> tuple[tuple[MocapScan, ...], list[Finding]]:
+    """Leave out the marker that is not at its vertex, if the scans can do without it."""
+    rest, k = without_fallen_marker(scans, checked.doubted)
+    if any(np.isfinite(scan.markers).all(axis=1).sum() < MIN_MARKERS for scan in rest):
+        return tuple(scans), list(checked.findings)
+    off = marker_out_of_place(scans[0].estimate.target, [scan.markers for scan in scans], k)
+    text = (
+        f"the marker of vertex {k} is {off:.3f} m from it in all frames, by the other markers: did it fall? It was "
+        f"left out"
+    )
+    return rest, [*checked.findings, Finding(text, True)]
 
-    Args:
-        markers: (n, 3) q_k, metres, motion-capture frame, NaN where not seen.
-        i: the scan's index, of the key of T_target_lidar.
-        sigma: standard deviation of a coordinate, metres.
-        with_scale: whether s is a variable.
+
+def _of_scale(agreement: Agreement, model: MarkerModel, used: Sequence[int]) -> list[Finding]:
+    """Say if the motion capture's scale is off, by how far the target moved from scan to scan."""
+    solution = solve(agreement.scans, agreement.T_lidar_mocap, replace(model, with_scale=True), used)
+    scatter = _scatter([agreement.scans[i] for i in used], [solution.T_target_lidar[i] for i in used])
+    least, sigmas = SCALE_OFF
+    sigma = solution.scale_sigma * np.sqrt(max(1.0, scatter))
+    if model.with_scale or abs(solution.scale - 1) < max(least, sigmas * sigma):
+        return []
+    size = "small" if solution.scale > 1 else "large"
+    text = (
+        f"the motion capture's lengths are {100 * abs(1 / solution.scale - 1):.1f} % too {size} (sd "
+        f"{100 * sigma:.1f} %) for how far the target moved between the scans: calibrate it again, or is the unit "
+        f"another? The scale was estimated, and the result holds for it"
+    )
+    return [Finding(text, True)]
+
+
+def _robustly(
+    agreement: Agreement, model: MarkerModel, voted: Sequence[int]
+) -> tuple[list[int], dict[int, Innovation]]:
+    """Leave out the worst scan or take in those that turn out to agree, until nothing changes.
+
+    Returns:
+        The numbers of the scans used, and how every scan compares with them.
     """
-    seen = np.flatnonzero(np.isfinite(markers).all(axis=1))
-    keys = [H(i), E(0), *(M(int(k)) for k in seen), *([S(0)] if with_scale else [])]
-    q = markers[seen]
-
-    def evaluate(values: gtsam.Values) -> tuple[Floats, list[Floats]]:
-        scale = values.atDouble(S(0)) if with_scale else 1.0
-        T_target_lidar, T_lidar_mocap = values.atPose3(H(i)).matrix(), values.atPose3(E(0)).matrix()
-        R_t, R_l = T_target_lidar[:3, :3], T_lidar_mocap[:3, :3]
-        in_lidar = scale * q @ R_l.T + T_lidar_mocap[:3, 3]
-        in_target = in_lidar @ R_t.T + T_target_lidar[:3, 3]
-        layout = np.array([values.atPoint3(M(int(k))) for k in seen])
-        by_pose = np.vstack([np.hstack([-R_t @ skew(p), R_t]) for p in in_lidar])
-        by_frame = np.vstack([R_t @ np.hstack([-R_l @ skew(scale * p), R_l]) for p in q])
-        by_layout = [-np.eye(3 * len(seen))[:, 3 * k : 3 * k + 3] for k in range(len(seen))]
-        by_scale = [(q @ R_l.T @ R_t.T).reshape(-1, 1)] if with_scale else []
-        jacobians = [by_pose, by_frame, *by_layout, *by_scale]
-        return (in_target - layout).ravel() / sigma, [J / sigma for J in jacobians]
-
-    return CheckedFactor(evaluate, 3 * len(seen), keys, [6, 6, *[3] * len(seen), *([1] if with_scale else [])])
+    used, tried = set(voted), list[set[int]]()
+    while True:
+        compared = innovations(agreement.scans, agreement.T_lidar_mocap, model, sorted(used))
+        bad = contradicting(compared, used, model)
+        tried.append(used)
+        worst = next((i for i in bad if i in used), None)
+        used = used | (set(compared) - set(bad)) if worst is None or len(used) <= FEWEST else used - {worst}
+        if used in tried:
+            return sorted(tried[-1]), compared
 
 
-def _solve(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setRelativeErrorTol(1e-12)
-    parameters.setAbsoluteErrorTol(1e-12)
-    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
-    result = gtsam.Values(optimizer.optimize())
-    if not np.isfinite(graph.error(result)):
-        raise EstimationError("the motion-capture graph did not converge: its error is not finite")
-    return result
+def _why(scan: MocapScan, scans: Sequence[MocapScan], T_lidar_mocap: Floats, predicted: Floats) -> str:
+    """Say how far a scan is from where the others put it, and whose markers it fits instead."""
+    T = scan.estimate.T_lidar_target
+    turn = np.degrees(angle(predicted[:3, :3].T @ T[:3, :3]))
+    return (
+        f"scan and markers (frame {scan.frame}) disagree by {np.linalg.norm(T[:3, 3] - predicted[:3, 3]):.3f} m and "
+        f"{turn:.1f} deg with T_lidar_mocap of the other scans{other_frame(scan, scans, T_lidar_mocap)}"
+    )
 
 
 def _scatter(scans: Sequence[MocapScan], T_target_lidar: Sequence[Floats]) -> float:

@@ -9,15 +9,16 @@ in-sample ones, which an estimator flatters itself with.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import permutations
 
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import InputError
 from optshape_graph.pose import PoseEstimate
+from optshape_graph.scan import Scan
 from optshape_graph.se3 import angle, apply, inverse
 from optshape_graph.target import Target
 
@@ -25,19 +26,23 @@ MIN_MARKERS = 3
 """Markers that a scan needs for the template to be fitted to them."""
 
 
-@dataclass(frozen=True, eq=False)
-class MocapScan:
+@dataclass(frozen=True, eq=False, repr=False)
+class MocapScan(Value):
     """One scan with its markers.
 
     Attributes:
         name: what results call it.
         estimate: of the target's pose from the LiDAR returns.
         markers: (n, 3) position of the marker near each vertex, metres, motion-capture frame; NaN where not seen.
+        frame: the markers' frame.
+        returns: on the target, where they are still needed.
     """
 
     name: str
     estimate: PoseEstimate
     markers: Floats
+    frame: int = 0
+    returns: Scan | None = None
 
     @property
     def T_mocap_target(self) -> Floats:
@@ -132,7 +137,7 @@ def assign_markers(target: Target, frames: Sequence[Floats]) -> tuple[int, ...]:
 def leave_one_out(scans: Sequence[MocapScan]) -> tuple[ScanError, ...]:
     """Compare each scan with its markers, the frames tied by all other scans.
 
-    Of a symmetric target, `name_alike` goes first.
+    Of a symmetric target, each estimate is the equivalent one that is named as its markers are.
 
     Raises:
         InputError: fewer than two scans.
@@ -145,25 +150,6 @@ def leave_one_out(scans: Sequence[MocapScan]) -> tuple[ScanError, ...]:
 def in_sample(scans: Sequence[MocapScan]) -> tuple[ScanError, ...]:
     """Compare each scan with its markers, the frames tied by all scans, the compared one included."""
     return _compare(scans, tie(scans))
-
-
-def name_alike(scans: Sequence[MocapScan]) -> tuple[MocapScan, ...]:
-    """Name the vertices of a symmetric target as its markers do: in each scan the equivalent estimate that fits.
-
-    The first scan's choice fixes the frames, and with them the others': all its choices are tried.
-    """
-    target = scans[0].estimate.target
-    if len(target.symmetries) == 1:
-        return tuple(scans)
-    candidates = []
-    for k in range(len(target.symmetries)):
-        T_lidar_mocap = scans[0].estimate.equivalent_poses[k] @ inverse(scans[0].T_mocap_target)
-        named = []
-        for scan in scans:
-            k_named = target.nearest_symmetry(scan.estimate.T_lidar_target, T_lidar_mocap @ scan.T_mocap_target)
-            named.append(replace(scan, estimate=scan.estimate.equivalent(int(k_named))))
-        candidates.append((sum(error.rmse_m**2 for error in _compare(named, tie(named))), k, tuple(named)))
-    return min(candidates)[2]
 
 
 def tie(scans: Sequence[MocapScan]) -> Floats:

@@ -2,85 +2,92 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.mocap.comparison import MIN_MARKERS, MocapScan, assign_markers
+from optshape_graph.calibration.mocap.graph import MarkerModel
+from optshape_graph.calibration.mocap.layout import CheckedMarkers, check_markers
+from optshape_graph.calibration.mocap.result import LeftOut
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.clouds import read_scan
-from optshape_graph.io.sessions import Mocap, Session
+from optshape_graph.io.sessions import Mocap, Session, View
 from optshape_graph.pose import estimate_pose
 from optshape_graph.target import Target
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """A scan of the session that takes no part.
-
-    Attributes:
-        scan: its file, as the session names it.
-        reason: why.
-    """
-
-    scan: str
-    reason: str
-
-
 def load_mocap_scans(
-    session: Session, progress: Callable[[int, int], None] = lambda done, total: None
-) -> tuple[tuple[MocapScan, ...], tuple[LeftOut, ...]]:
-    """Read and estimate every scan of a session that has markers.
+    session: Session,
+    layout_prior: float = MarkerModel.layout_prior,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[tuple[MocapScan, ...], tuple[LeftOut, ...], CheckedMarkers]:
+    """Read and estimate every scan of a session that has markers, the markers checked and mended first.
 
     Args:
         session: with motion capture, of one LiDAR and one target; each scan holds the target's returns.
+        layout_prior: standard deviation of a marker's place about its vertex along each axis, metres.
         progress: called with the number of scans done and their total.
 
     Returns:
-        The scans that can be used, and those that cannot, with reasons: no marker frame, too few markers, an estimate
-        that failed or is ambiguous.
+        The scans that can be used; those that cannot, with reasons: no marker frame, too few markers, an estimate
+        that failed or is ambiguous; and the checked markers.
 
     Raises:
-        InputError: no motion capture; several LiDARs or targets; markers that cannot be assigned; a cloud that
-            cannot be read.
+        InputError: no motion capture; several LiDARs or targets; markers that cannot be assigned, or in another unit
+            of length; a cloud that cannot be read.
     """
     if session.mocap is None:
         raise InputError(f"{session.path}: the session has no motion capture ('mocap')")
-    for kind, names in (("LiDAR", session.lidars), ("target", session.targets)):
-        if len(names) != 1:
-            raise InputError(f"{session.path}: a motion-capture calibration is of one {kind}; found {len(names)}")
+    for kind, found in (("LiDAR", session.lidars), ("target", session.targets)):
+        if len(found) != 1:
+            raise InputError(f"{session.path}: a motion-capture calibration is of one {kind}; found {len(found)}")
     target = next(iter(session.targets.values()))
-    of_vertex = _markers_of_vertices(session.mocap, target, session.path)
+    names = _markers_of_vertices(session.mocap, target, session.path)
+    wanted = dict.fromkeys(view.mocap_frame for view in session.views if view.mocap_frame is not None)
+    frames = {number: _of_vertices(session.mocap.markers.frames[number], names) for number in wanted}
+    checked = check_markers(target, frames, names, layout_prior, str(session.path))
     used: list[MocapScan] = []
     left_out: list[LeftOut] = []
     for done, view in enumerate(session.views):
         progress(done, len(session.views))
-        name = str(view.scan.relative_to(session.path.parent) if view.scan.is_relative_to(session.path.parent)
-                   else view.scan)  # fmt: skip
-        if view.mocap_frame is None:
-            left_out.append(LeftOut(name, "the session gives it no mocap_frame"))
-            continue
-        frame = session.mocap.markers.frames[view.mocap_frame]
-        markers = np.array([frame[marker] if marker else np.full(3, np.nan) for marker in of_vertex])
-        seen = int(np.isfinite(markers).all(axis=1).sum())
-        if seen < MIN_MARKERS:
-            left_out.append(LeftOut(name, f"frame {view.mocap_frame} shows {seen} markers; {MIN_MARKERS} are needed"))
-            continue
-        scan = replace(read_scan(view.target_points or view.scan, session.lidars[view.lidar]), name=name)
-        try:
-            estimate = estimate_pose(scan, target)
-        except EstimationError as error:
-            left_out.append(LeftOut(name, str(error)))
-            continue
-        if estimate.status != "ok":
-            left_out.append(LeftOut(name, f"{estimate.status}: {estimate.reason}"))
-            continue
-        used.append(MocapScan(name, estimate, markers))
+        folder = session.path.parent
+        name = str(view.scan.relative_to(folder) if view.scan.is_relative_to(folder) else view.scan)
+        scan = _estimated(name, view, session, target, checked)
+        if isinstance(scan, LeftOut):
+            left_out.append(scan)
+        else:
+            used.append(scan)
     progress(len(session.views), len(session.views))
-    return tuple(used), tuple(left_out)
+    return tuple(used), tuple(left_out), checked
+
+
+def _estimated(name: str, view: View, session: Session, target: Target, checked: CheckedMarkers) -> MocapScan | LeftOut:
+    frame = view.mocap_frame
+    if frame is None:
+        return LeftOut(name, "the session gives it no mocap_frame")
+    if frame in checked.left_out:
+        return LeftOut(name, checked.left_out[frame])
+    markers = checked.frames[frame]
+    seen = int(np.isfinite(markers).all(axis=1).sum())
+    if seen < MIN_MARKERS:
+        return LeftOut(name, f"frame {frame} shows {seen} markers; {MIN_MARKERS} are needed")
+    returns = replace(read_scan(view.target_points or view.scan, session.lidars[view.lidar]), name=name)
+    try:
+        estimate = estimate_pose(returns, target)
+    except EstimationError as error:
+        return LeftOut(name, str(error))
+    if estimate.status != "ok":
+        return LeftOut(name, f"{estimate.status}: {estimate.reason}")
+    return MocapScan(name, estimate, markers, frame, returns)
+
+
+def _of_vertices(frame: Mapping[str, Floats], names: Sequence[str]) -> Floats:
+    """Return the positions (n, 3) of the markers with these names, NaN where a name is empty."""
+    return np.array([frame[name] if name else np.full(3, np.nan) for name in names])
 
 
 def _markers_of_vertices(mocap: Mocap, target: Target, path: Path) -> list[str]:

@@ -10,11 +10,12 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from optshape_graph._arrays import Value
 from optshape_graph.errors import InputError
 
 
-@dataclass(frozen=True, eq=False)
-class Columns:
+@dataclass(frozen=True, eq=False, repr=False)
+class Columns(Value):
     """Named columns of a cloud, as recorded.
 
     Attributes:

@@ -44,6 +44,10 @@ def form_of(path: str | Path) -> str:
         InputError: no such file, another kind of file, or an ending that is not known.
     """
     path = Path(path)
+    if path.is_dir():
+        raise InputError(
+            f"{path}: a folder; expected one cloud (a folder of clouds is read by `optshape map` and `extract`)"
+        )
     head = read_head(path, 64)
     form = next((form for begin, form in BEGINNINGS.items() if head.startswith(begin)), None)
     if form in ("packets", "bag"):

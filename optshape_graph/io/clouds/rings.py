@@ -70,7 +70,7 @@ def rings_of_ids(points: Floats, ids: Ints, sensor: SensorModel | None, name: st
     present = np.flatnonzero(counts)
     inverse, counts = np.asarray(np.cumsum(counts > 0) - 1)[ids], counts[present]
     elevation = _elevations(points)
-    if not _are_level(elevation, inverse, counts):
+    if not _are_level(elevation, inverse):
         if sensor is not None:
             raise _misfit(name, sensor, "the returns of one beam are at many elevations")
         _LOG.warning("%s: beam numbers do not follow the elevation; read as a cloud without rings", name)
@@ -112,7 +112,8 @@ def rings_of_elevations(points: Floats, sensor: SensorModel, name: str) -> Ints:
 def rings_by_firing(points: Floats, sensor: SensorModel | None, name: str) -> Ints | None:
     """Recover rings from the order of returns, where the file keeps each beam's sweep together, as KITTI's do.
 
-    A beam's sweep ends where the azimuth jumps back, or where it has gone round; the next is of the next beam.
+    A beam's sweep ends where the azimuth jumps back, or where it has gone round; the next is of the next beam. Where a
+    round begins the file does not say: of three places the one that makes the sweeps most level.
 
     Args:
         points: (N, 3) metres, LiDAR frame, in the order of the file.
@@ -127,10 +128,18 @@ def rings_by_firing(points: Floats, sensor: SensorModel | None, name: str) -> In
     direction = float(np.sign(np.median(step[step != 0]))) if step.any() else 0.0
     if direction == 0:
         return None
-    phase = np.mod(direction * (azimuth - azimuth[0]) + SWEEP_JITTER, 2 * np.pi)
-    back = (direction * step < -SWEEP_BACK) | (np.diff(phase) < -np.pi)
-    sweep = np.concatenate([[0], np.cumsum(back)])
-    if not 2 <= sweep[-1] + 1 <= MOST_SWEEPS or not _are_level(_elevations(points), sweep, np.bincount(sweep)):
+    elevation = _elevations(points)
+    sweeps = []
+    for start in (
+        0.0,
+        np.pi,
+        azimuth[0] - direction * SWEEP_JITTER,
+    ):  # straight ahead (KITTI), behind, at the first return
+        phase = np.mod(direction * (azimuth - start), 2 * np.pi)
+        back = (direction * step < -SWEEP_BACK) | (np.diff(phase) < -np.pi)
+        sweeps.append(np.concatenate([[0], np.cumsum(back)]))
+    sweep = min(sweeps, key=lambda sweep: _scatter(elevation, sweep))
+    if not 2 <= sweep[-1] + 1 <= MOST_SWEEPS or not _are_level(elevation, sweep):
         return None
     try:
         return rings_of_ids(points, sweep, sensor, name)
@@ -150,10 +159,15 @@ def _medians(values: Floats, group: NDArray[np.intp], n: int) -> Floats:
     return np.array([np.median(part) for part in parts])
 
 
-def _are_level(elevation: Floats, group: NDArray[np.intp], counts: NDArray[np.intp]) -> bool:
+def _scatter(elevation: Floats, group: NDArray[np.intp]) -> float:
+    """Mean square of elevations about the mean of their group, rad2."""
+    means = np.bincount(group, elevation) / np.maximum(np.bincount(group), 1)
+    return float(np.mean((elevation - means[group]) ** 2))
+
+
+def _are_level(elevation: Floats, group: NDArray[np.intp]) -> bool:
     """Whether beam numbers explain most of the variance of the elevation, or there is next to none to explain."""
-    means = np.bincount(group, elevation) / counts
-    within = float(np.mean((elevation - means[group]) ** 2))
+    within = _scatter(elevation, group)
     return within < 0.5 * float(np.var(elevation)) or within < LEVEL**2
 
 

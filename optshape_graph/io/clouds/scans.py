@@ -73,6 +73,8 @@ def make_scan(columns: Columns, sensor: SensorModel | None = None, stamp: float 
             return None
         key = known[role].column
         values = columns.values[key]
+        if values.ndim != 1 and values.size != len(recorded):
+            return None  # a matrix, or one number, beside the cloud
         if values.size != len(recorded) or values.dtype.kind not in "iufb":
             raise InputError(
                 f"{name}: expected '{key}' as {len(recorded)} numbers, found {values.dtype} of shape {values.shape}"

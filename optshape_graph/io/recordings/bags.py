@@ -11,10 +11,11 @@ from typing import Any
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError, missing_extra
-from optshape_graph.io.recordings import messages
+from optshape_graph.io.clouds import make_scan
+from optshape_graph.io.recordings import messages, packets
 from optshape_graph.io.recordings.decompression import bound_rosbags
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
-from optshape_graph.io.recordings.topics import Topic
+from optshape_graph.io.recordings.topics import Kind, Topic
 from optshape_graph.sensor import SensorModel
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -33,6 +34,7 @@ class Bag:
     Attributes:
         path: file, or folder of a ROS 2 bag.
         ros: 1 or 2: how messages are serialised.
+        span: seconds of the first and the last message, as recorded; None: there is none.
 
     Raises:
         InputError: not a readable bag.
@@ -44,8 +46,9 @@ class Bag:
         if path.is_dir():
             _check_inside(path)
         with self._open() as reader:
+            self.span = (reader.start_time / 1e9, reader.end_time / 1e9) if reader.message_count else None
             self._recorded = tuple(
-                Topic(name, messages.kind_of(info.msgtype or ""), info.msgtype or "of several types", info.msgcount)
+                Topic(name, _kind(name, info.msgtype or ""), info.msgtype or "of several types", info.msgcount)
                 for name, info in reader.topics.items()
             )
 
@@ -70,6 +73,12 @@ class Bag:
         Raises:
             InputError: the bag cannot be read.
         """
+        if topic.type in packets.OUSTER:
+            yield from self._ouster(topic, skipped, sensor)
+            return
+        if topic.type == messages.PATH:
+            yield from self._latest_path(topic, skipped)
+            return
         name = topic.name.rsplit(":", 2)[0] if topic.type in messages.TRANSFORMS else topic.name
         for number, data in enumerate(self._raw(name, skipped)):
             where = f"{self.path} {name} message {number}"
@@ -79,6 +88,42 @@ class Bag:
                 skipped.add(problem, where)
                 continue
             yield from values
+
+    def _ouster(self, topic: Topic, skipped: Skipped, sensor: SensorModel | None) -> Iterator[Stamped[Any]]:
+        """Yield the scans in an Ouster's packets, decoded with the metadata recorded beside them."""
+        name = f"{self.path} {topic.name}"
+        metadata = self._ouster_metadata()
+        if metadata is None:
+            raise InputError(
+                f"{name}: an Ouster's packets, and no metadata: expected a topic of it, or its JSON file beside the bag"
+            )
+        payloads = (
+            bytes(messages.read_message(self.ros, topic.type, data).buf) for data in self._raw(topic.name, skipped)
+        )
+        for number, (stamp, columns) in enumerate(packets.decode_ouster(metadata, payloads, name)):
+            try:
+                yield Stamped(stamp, make_scan(columns, sensor))
+            except InputError as error:
+                skipped.add(BadMessage("not a scan", str(error)), f"{name} revolution {number}")
+
+    def _ouster_metadata(self) -> str | None:
+        for topic in self._recorded:
+            if topic.type == "std_msgs/msg/String" and "metadata" in topic.name:
+                with closing(self._raw(topic.name, Skipped())) as raw:
+                    for data in raw:
+                        return str(messages.read_message(self.ros, topic.type, data).data)
+        file = packets.metadata_beside(self.path)
+        return None if file is None else file.read_text(encoding="utf-8")
+
+    def _latest_path(self, topic: Topic, skipped: Skipped) -> Iterator[Stamped[Floats]]:
+        """Yield the poses of the last path: each repeats the one before, and has a pose more."""
+        latest: list[Stamped[Floats]] = []
+        for number, data in enumerate(self._raw(topic.name, skipped)):
+            try:
+                latest = messages.decode_path(self.ros, data)
+            except BadMessage as problem:
+                skipped.add(problem, f"{self.path} {topic.name} message {number}")
+        yield from latest
 
     def _decode(self, topic: Topic, data: bytes, where: str, sensor: SensorModel | None) -> list[Stamped[Any]]:
         if topic.kind == "scan":
@@ -182,6 +227,11 @@ class Bag:
             yield reader
         finally:
             reader.close()
+
+
+def _kind(name: str, msgtype: str) -> Kind:
+    """What a topic holds: its type says it; of an Ouster's packets, which are of one type, the name."""
+    return "other" if msgtype in packets.OUSTER and "imu" in name else messages.kind_of(msgtype)
 
 
 def _check_inside(folder: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.documents import write_json
@@ -50,8 +50,8 @@ class Selection:
     interval: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Extraction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Extraction(Value):
     """What became of a recording.
 
     Attributes:
@@ -176,7 +176,7 @@ def extract_session(
             "images": image_stamps + camera_offset,
             "markers": np.zeros(0) if mocap is None else mocap.times + mocap_offset,
         }
-        raise InputError(_nothing_paired(recording, dropped, clocks))
+        raise InputError(_nothing_paired(recording, dropped, clocks, images))
     if mocap is not None:
         write_markers(folder / "markers.csv", mocap.markers, {v.number: positions[k] for k, v in views.items()})
     write_scans(scans, {view.stamp: view for view in views.values()}, folder, mocap is not None, track)
@@ -198,7 +198,11 @@ def _stamps(stream: Stream[Any], track: Track) -> Floats:
     return np.array([item.stamp for item in track(stream, f"pairing {stream.name}", stream.expected)])
 
 
-def _nothing_paired(recording: Recording, dropped: Mapping[str, int], clocks: Mapping[str, Floats]) -> str:
+def _nothing_paired(
+    recording: Recording, dropped: Mapping[str, int], clocks: Mapping[str, Floats], images: Stream[Any] | None
+) -> str:
+    if images is not None and not len(clocks["images"]):
+        return f"{images.name}: no usable image: {images.skipped}"
     reasons = ", ".join(f"{count} x {reason}" for reason, count in dropped.items() if count) or "no scan in that time"
     spans = "; ".join(f"{name} from {t[0]:.3f} to {t[-1]:.3f} s" for name, t in clocks.items() if len(t))
     return f"{recording.path}: nothing could be paired: {reasons} ({spans}: is a clock offset needed?)"

@@ -1,32 +1,34 @@
 """Recordings as folders: clouds or images with a file of timestamps, and trajectories.
 
 A folder is a topic of clouds or of images if it has a file of timestamps; the files may be in its subfolder
-`data`, as in KITTI. A recording is such a folder, or a folder of such folders. TUM trajectories (`*.tum`) in it
-are its topics of poses. Nothing outside the folder is read, whatever a timestamps file or a link says.
+`data`, as in KITTI; or one video, with a stamp for each frame. A recording is such a folder, or a folder of such
+folders. TUM trajectories (`*.tum`) in it are its topics of poses. Nothing outside the folder is read, whatever a
+timestamps file or a link says.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from optshape_graph.errors import InputError
-from optshape_graph.io.clouds import read_scan
+from optshape_graph.io.clouds import ENDINGS, read_scan
 from optshape_graph.io.files import inside, is_file, read_bytes, read_text
-from optshape_graph.io.recordings.images import CompressedImage
+from optshape_graph.io.image_files import read_video
+from optshape_graph.io.recordings.images import CompressedImage, RawImage
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.recordings.topics import Kind, Topic
-from optshape_graph.io.times import ticks_per_second
+from optshape_graph.io.times import parse_stamp
 from optshape_graph.io.trajectories import read_tum
 from optshape_graph.sensor import SensorModel
 
 STAMP_FILES = ("timestamps.txt", "timestamps.csv", "times.txt", "times.csv")
-CLOUD_SUFFIXES = (".pcd", ".ply", ".npz", ".csv")
+CLOUD_SUFFIXES = tuple(ending for ending in ENDINGS if ending != ".txt")
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".m4v")
 
 
 class Folder:
@@ -47,13 +49,17 @@ class Folder:
         return (*(topic for topic in topics if topic is not None), *tum)
 
     def _files(self, folder: Path) -> Topic | None:
-        if _stamp_file(folder) is None:
+        if _stamp_file(folder, self.path) is None:
             return None
         suffixes = [file.suffix.lower() for file in _data(folder)]
         counted: dict[Kind, int] = {
             "scan": sum(suffix in CLOUD_SUFFIXES for suffix in suffixes),
             "image": sum(suffix in IMAGE_SUFFIXES for suffix in suffixes),
         }
+        videos = [file for file in _data(folder) if file.suffix.lower() in VIDEO_SUFFIXES]
+        if len(videos) == 1 and not any(counted.values()):
+            name = "." if folder == self.path else folder.name
+            return Topic(name, "image", videos[0].suffix.lower(), len(_lines(_stamp_file(folder, self.path) or Path())))
         kind = max(counted, key=lambda kind: counted[kind])
         name = "." if folder == self.path else folder.name
         common = max(set(suffixes), key=suffixes.count, default="")
@@ -70,6 +76,9 @@ class Folder:
             assert trajectory.stamps is not None  # TUM has them
             yield from map(Stamped, trajectory.stamps.tolist(), trajectory.poses)
             return
+        if topic.kind == "image" and topic.type in VIDEO_SUFFIXES:
+            yield from self._frames(topic)
+            return
         for stamp, file in self._stamped_files(topic):
             self._inside(file)
             try:
@@ -80,6 +89,22 @@ class Folder:
                 continue
             yield Stamped(stamp, value)
 
+    def _frames(self, topic: Topic) -> Iterator[Stamped[RawImage]]:
+        """Yield the frames of a folder's video, one for each stamp."""
+        folder = self.path / topic.name
+        stamp_file = _stamp_file(folder, self.path)
+        assert stamp_file is not None  # it is what made the folder a topic
+        (video,) = (file for file in _data(folder) if file.suffix.lower() in VIDEO_SUFFIXES)
+        lines = _lines(stamp_file)
+        stamps = [_stamp(words[0], f"{stamp_file}:{number}") for number, words in lines]
+        count = 0
+        for count, pixels in enumerate(read_video(self._inside(video)), 1):
+            if count > len(stamps):
+                break
+            yield Stamped(stamps[count - 1], RawImage("bgr8", pixels.reshape(len(pixels), -1)))
+        if count != len(stamps):
+            raise InputError(f"{stamp_file}: {len(stamps)} stamps for the {count} frames of {video}")
+
     @staticmethod
     def _read(file: Path, kind: Kind, sensor: SensorModel | None) -> Any:
         if kind == "scan":
@@ -89,7 +114,7 @@ class Folder:
 
     def _stamped_files(self, topic: Topic) -> list[tuple[float, Path]]:
         folder = self.path / topic.name
-        stamp_file = _stamp_file(folder)
+        stamp_file = _stamp_file(folder, self.path)
         assert stamp_file is not None  # it is what made the folder a topic
         suffixes = CLOUD_SUFFIXES if topic.kind == "scan" else IMAGE_SUFFIXES
         files = [file for file in _data(folder) if file.suffix.lower() in suffixes]
@@ -98,21 +123,40 @@ class Folder:
             where = files[0].parent
             return [_named(words, where, f"{stamp_file}:{number}") for number, words in lines]
         if len(lines) != len(files):
-            raise InputError(f"{stamp_file}: {len(lines)} stamps for {len(files)} files in {files[0].parent}")
+            raise InputError(
+                f"{stamp_file}: {len(lines)} stamps for {len(files)} files in {files[0].parent}; expected one for "
+                "each file, in the order of their names, or lines of a stamp and a file name"
+            )
         return [(_stamp(words[0], f"{stamp_file}:{n}"), file) for (n, words), file in zip(lines, files, strict=True)]
 
     def _inside(self, file: Path) -> Path:
         return inside(file, self.path, "the recording's folder")
 
 
-def _stamp_file(folder: Path) -> Path | None:
-    return next((folder / name for name in STAMP_FILES if (folder / name).is_file()), None)
+def _stamp_file(folder: Path, top: Path) -> Path | None:
+    """The file with the stamps of a folder's files: in it; or, where KITTI's odometry has it, in the folder above."""
+    own = next((folder / name for name in STAMP_FILES if (folder / name).is_file()), None)
+    if own is not None or folder == top:
+        return own
+    above = next((top / name for name in STAMP_FILES if (top / name).is_file()), None)
+    return above if above is not None and len(_lines(above)) == len(_data(folder)) > 0 else None
 
 
 def _data(folder: Path) -> list[Path]:
-    """Files that timestamps belong to, by name."""
+    """Files that timestamps belong to, by name, numbers in it by their size."""
     data = folder / "data" if (folder / "data").is_dir() else folder
-    return sorted(file for file in data.iterdir() if file.is_file() and file.name not in STAMP_FILES)
+    return sorted((file for file in data.iterdir() if file.is_file() and file.name not in STAMP_FILES), key=_order)
+
+
+def _order(file: Path) -> tuple[object, ...]:
+    """Sort names as numbers are: scan_2 before scan_10, and 1.25 before 1.5 where the whole name is a number."""
+    if re.fullmatch(r"\d+(\.\d+)?", file.stem):
+        return (0, float(file.stem), file.name)
+    return (1, *((1, int(part), "") if part.isdigit() else (0, 0, part) for part in _digits(file.name)), file.name)
+
+
+def _digits(name: str) -> list[str]:
+    return [part for part in re.split(r"([0-9]+)", name) if part]
 
 
 def _lines(file: Path) -> list[tuple[int, list[str]]]:
@@ -130,30 +174,12 @@ def _named(words: list[str], folder: Path, where: str) -> tuple[float, Path]:
     """Return stamp and file of a line that has both, in either order."""
     if len(words) != 2:
         raise InputError(f"{where}: expected a stamp and a file name, found {' '.join(words)!r}")
-    stamp, name = words if _is_stamp(words[0]) else reversed(words)
+    stamp, name = words if parse_stamp(words[0]) is not None else reversed(words)
     return _stamp(stamp, where), folder / name
 
 
 def _stamp(word: str, where: str) -> float:
-    """Return a stamp in seconds: of seconds, of an epoch in ms, us or ns, or of a date (UTC unless it says)."""
-    if _is_date(word):
-        date = datetime.fromisoformat(word)
-        return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
-    if not _is_stamp(word):
+    stamp = parse_stamp(word)
+    if stamp is None:
         raise InputError(f"{where}: expected a stamp, found '{word}'")
-    return float(word) / ticks_per_second(float(word))
-
-
-def _is_stamp(word: str) -> bool:
-    try:
-        return abs(float(word)) < 1e20
-    except ValueError:
-        return _is_date(word)
-
-
-def _is_date(word: str) -> bool:
-    try:
-        datetime.fromisoformat(word)
-    except ValueError:
-        return False
-    return "-" in word
+    return stamp

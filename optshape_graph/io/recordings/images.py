@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optshape_graph._arrays import Value
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.foreign_cameras import make_camera
@@ -16,43 +17,80 @@ from optshape_graph.io.recordings.stream import BadMessage
 
 Pixels = NDArray[np.uint8]
 
-CHANNELS = {
-    "mono8": 1, "8UC1": 1, "bgr8": 3, "8UC3": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4,
-    "bayer_rggb8": 1, "bayer_bggr8": 1, "bayer_gbrg8": 1, "bayer_grbg8": 1,
-}  # fmt: skip
-"""sensor_msgs/Image encodings that are read: bytes per pixel."""
 
-CONVERSIONS = {
-    "rgb8": "COLOR_RGB2BGR", "bgra8": "COLOR_BGRA2BGR", "rgba8": "COLOR_RGBA2BGR",
-    "bayer_rggb8": "COLOR_BayerRGGB2BGR", "bayer_bggr8": "COLOR_BayerBGGR2BGR",
-    "bayer_gbrg8": "COLOR_BayerGBRG2BGR", "bayer_grbg8": "COLOR_BayerGRBG2BGR",
-}  # fmt: skip
+@dataclass(frozen=True)
+class Encoding:
+    """How pixels are sent.
+
+    Attributes:
+        channels: values of a pixel.
+        bits: of a value, 8 or 16.
+        conversion: OpenCV's name of what makes blue, green, red of them; "": they are that, or grey, already.
+        rows: rows of bytes for a row of pixels: more than one where colours follow the brightness of all pixels.
+    """
+
+    channels: int
+    bits: int = 8
+    conversion: str = ""
+    rows: float = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class RawImage:
+def _encodings() -> dict[str, Encoding]:
+    known = {
+        "mono8": Encoding(1), "8UC1": Encoding(1), "bgr8": Encoding(3), "8UC3": Encoding(3),
+        "rgb8": Encoding(3, 8, "COLOR_RGB2BGR"), "bgra8": Encoding(4, 8, "COLOR_BGRA2BGR"),
+        "8UC4": Encoding(4, 8, "COLOR_BGRA2BGR"), "rgba8": Encoding(4, 8, "COLOR_RGBA2BGR"),
+        "mono16": Encoding(1, 16), "16UC1": Encoding(1, 16), "bgr16": Encoding(3, 16),
+        "rgb16": Encoding(3, 16, "COLOR_RGB2BGR"), "bgra16": Encoding(4, 16, "COLOR_BGRA2BGR"),
+        "rgba16": Encoding(4, 16, "COLOR_RGBA2BGR"),
+        "yuv422": Encoding(2, 8, "COLOR_YUV2BGR_UYVY"), "uyvy": Encoding(2, 8, "COLOR_YUV2BGR_UYVY"),
+        "yuv422_yuy2": Encoding(2, 8, "COLOR_YUV2BGR_YUY2"), "yuyv": Encoding(2, 8, "COLOR_YUV2BGR_YUY2"),
+        "nv12": Encoding(1, 8, "COLOR_YUV2BGR_NV12", 1.5), "nv21": Encoding(1, 8, "COLOR_YUV2BGR_NV21", 1.5),
+    }  # fmt: skip
+    for order in ("rggb", "bggr", "gbrg", "grbg"):
+        for bits in (8, 16):
+            known[f"bayer_{order}{bits}"] = Encoding(1, bits, f"COLOR_Bayer{order.upper()}2BGR")
+    return known
+
+
+ENCODINGS = _encodings()
+"""sensor_msgs/Image encodings that are read (sensor_msgs/image_encodings.hpp)."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RawImage(Value):
     """Pixels as the camera sent them.
 
     Attributes:
-        encoding: as in sensor_msgs/image_encodings, one of `CHANNELS`.
-        rows: (H, W * bytes per pixel) without the padding of rows.
+        encoding: as in sensor_msgs/image_encodings, one of `ENCODINGS`.
+        rows: (H, W * bytes per pixel) without the padding of rows; more rows where colours follow (`Encoding.rows`).
+        big_endian: whether values of 16 bits have their larger byte first.
     """
 
     encoding: str
     rows: Pixels
+    big_endian: bool = False
 
     def pixels(self) -> Pixels:
-        """Return (H, W) of a grey image or (H, W, 3) in OpenCV's order (blue, green, red)."""
-        channels = CHANNELS[self.encoding]
-        values = self.rows if channels == 1 else self.rows.reshape(len(self.rows), -1, channels)
-        if self.encoding not in CONVERSIONS:
-            return values
+        """Return (H, W) of a grey image or (H, W, 3) in OpenCV's order (blue, green, red).
+
+        Of 16 bits the eight highest that are used are kept: cameras of 10 or 12 bits fill the lower ones.
+        """
+        how = ENCODINGS[self.encoding]
+        values: NDArray[Any] = self.rows
+        if how.bits == 16:
+            values = values.view(">u2" if self.big_endian else "<u2").astype(np.uint16)
+            values = (values >> max(int(values.max(initial=0)).bit_length() - 8, 0)).astype(np.uint8)
+        if how.channels > 1:
+            values = values.reshape(len(values), -1, how.channels)
+        if not how.conversion:
+            return np.asarray(values, dtype=np.uint8)
         cv2 = opencv()
-        return np.asarray(cv2.cvtColor(values, getattr(cv2, CONVERSIONS[self.encoding])), dtype=np.uint8)
+        return np.asarray(cv2.cvtColor(np.ascontiguousarray(values), getattr(cv2, how.conversion)), dtype=np.uint8)
 
 
-@dataclass(frozen=True, eq=False)
-class CompressedImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class CompressedImage(Value):
     """An image as a file would hold it.
 
     Attributes:
@@ -84,16 +122,24 @@ def raw_image(message: Any) -> RawImage:
     Raises:
         BadMessage: encoding not read here, no pixels, or data shorter than declared.
     """
-    if message.encoding not in CHANNELS:
-        raise BadMessage("unknown image encoding", f"'{message.encoding}'; expected one of {', '.join(CHANNELS)}")
+    how = ENCODINGS.get(message.encoding)
+    if how is None:
+        raise BadMessage(
+            "image encoding that is not read", f"'{message.encoding}'; expected one of {', '.join(ENCODINGS)}"
+        )
     height, width, step = int(message.height), int(message.width), int(message.step)
-    row = width * CHANNELS[message.encoding]
+    row = width * how.channels * how.bits // 8
     if height * width == 0:
         raise BadMessage("empty", f"{height} x {width} pixels")
+    if (how.rows > 1 or "YUV" in how.conversion) and (width % 2 or height % 2):
+        raise BadMessage("malformed image", f"{width} x {height} pixels of '{message.encoding}'; expected even numbers")
+    if how.rows > 1 and step == width * 3 // 2:  # some drivers count the colours into the step
+        step = width
+    height = int(height * how.rows)
     if step < row or len(message.data) < (height - 1) * step + row:
         raise BadMessage("truncated", f"{len(message.data)} bytes for {height} rows of {step}, {row} of them pixels")
     rows = np.ndarray((height, row), np.uint8, message.data, strides=(step, 1))
-    return RawImage(message.encoding, np.ascontiguousarray(rows))
+    return RawImage(message.encoding, np.ascontiguousarray(rows), bool(message.is_bigendian))
 
 
 def compressed_image(message: Any) -> CompressedImage:

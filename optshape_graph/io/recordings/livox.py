@@ -38,7 +38,8 @@ def livox_columns(data: bytes, cdr: bool, name: str) -> tuple[float, Columns]:
     """Return the stamp, seconds, and the points of a serialised CustomMsg.
 
     `offset_time` comes out in nanoseconds since the header's stamp; the message counts from its time base, which the
-    driver sets to the stamp or near it. `line`, the laser of a pattern without rings, and `tag` are left out.
+    driver sets to the stamp or near it. `line` is the laser of a pattern without rings, `tag` what the sensor says of a
+    return.
 
     Args:
         data: the serialised message.
@@ -80,7 +81,7 @@ def _parse(data: memoryview, cdr: bool) -> tuple[float, dict[str, NDArray[Any]]]
     points = np.ndarray((count,), point, body[: (count - 1) * stride + 19].tobytes().ljust(count * stride, b"\0"))
     stamp_ns = sec * 10**9 + nsec
     fields = {name: points[name] for name in ("x", "y", "z")}
-    fields["intensity"] = points["reflectivity"]
+    fields |= {"intensity": points["reflectivity"], "tag": points["tag"], "line": points["line"]}
     # A time base of another clock (uptime of the sensor) says nothing about the stamp: then the stamp is the start.
     lead_ns = timebase - stamp_ns if abs(timebase - stamp_ns) < 10**9 else 0
     fields["offset_time"] = points["offset_time"].astype(np.int64) + lead_ns

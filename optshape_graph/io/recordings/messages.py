@@ -17,7 +17,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io.clouds import make_scan
-from optshape_graph.io.recordings import images, livox
+from optshape_graph.io.recordings import images, livox, packets
 from optshape_graph.io.recordings.pointcloud2 import point_columns
 from optshape_graph.io.recordings.stream import BadMessage, Stamped
 from optshape_graph.io.recordings.topics import Kind
@@ -25,8 +25,9 @@ from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
-SCANS = livox.TYPES | {CLOUD}
+SCANS = livox.TYPES | {CLOUD, packets.VELODYNE}
 TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
+PATH = "nav_msgs/msg/Path"
 POSES = frozenset({
     "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/TransformStamped",
@@ -54,6 +55,8 @@ def type_store(ros: int) -> Any:
             **get_types_from_msg(livox.DEFINITIONS["CustomPoint"], package + "CustomPoint"),
             **get_types_from_msg(livox.DEFINITIONS["CustomMsg"], name),
         })  # fmt: skip
+    for name, definition in packets.DEFINITIONS.items():
+        store.register(get_types_from_msg(definition, name))
     return store
 
 
@@ -91,7 +94,7 @@ def read_message(ros: int, msgtype: str, data: bytes) -> Any:
 
 
 def decode_scan(ros: int, msgtype: str, data: bytes, name: str, sensor: SensorModel | None) -> Stamped[Scan]:
-    """Return the scan of a PointCloud2 or a Livox CustomMsg.
+    """Return the scan of a PointCloud2, a Livox CustomMsg, or a Velodyne's packets.
 
     The layouts of drivers differ in what they call ring and time, and in type, unit and direction of both:
     Velodyne `ring`, `time` (float32, s since the stamp); Ouster `ring` from the top, `t` (uint32, ns since the
@@ -101,10 +104,11 @@ def decode_scan(ros: int, msgtype: str, data: bytes, name: str, sensor: SensorMo
     """
     if msgtype in livox.TYPES:
         stamp, columns = livox.livox_columns(data, ros == 2, name)
+    elif msgtype == packets.VELODYNE:
+        return packets.decode_velodyne(read_message(ros, msgtype, data), name, sensor)
     else:
         message = read_message(ros, msgtype, data)
         stamp, columns = stamp_of(message), point_columns(message, name)
-        columns.values.pop("line", None)  # of Livox: a laser of a pattern without rings
     x, y, z = (columns.values[axis] for axis in "xyz")
     if not (np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & ((x != 0) | (y != 0) | (z != 0))).any():
         raise BadMessage("no returns", f"{len(x)} points, all at the origin or not finite")
@@ -141,6 +145,21 @@ def decode_pose(ros: int, msgtype: str, data: bytes) -> Stamped[Floats]:
         return _transform(message)
     pose = message.pose if msgtype == "geometry_msgs/msg/PoseStamped" else message.pose.pose
     return Stamped(stamp_of(message), rigid(pose.position, pose.orientation))
+
+
+def decode_path(ros: int, data: bytes) -> list[Stamped[Floats]]:
+    """Return the poses of a Path (4, 4), each with its own stamp, in order of time; those of one stamp once.
+
+    Raises:
+        BadMessage: no poses, or poses without stamps: a plan, not a trajectory.
+    """
+    message = read_message(ros, PATH, data)
+    poses = {stamp_of(pose): rigid(pose.pose.position, pose.pose.orientation) for pose in message.poses}
+    if not poses:
+        raise BadMessage("empty", "a path without poses")
+    if len(poses) == 1 and len(message.poses) > 1:
+        raise BadMessage("path without stamps", f"{len(message.poses)} poses of one stamp")
+    return [Stamped(stamp, poses[stamp]) for stamp in sorted(poses)]
 
 
 def decode_transform(ros: int, msgtype: str, data: bytes, parent: str, child: str) -> Iterator[Stamped[Floats]]:
@@ -196,7 +215,12 @@ def _transform(message: Any) -> Stamped[Floats]:
     return Stamped(stamp_of(message), rigid(message.transform.translation, message.transform.rotation))
 
 
-TYPES: dict[Kind, frozenset[str]] = {"scan": SCANS, "image": IMAGES, "camera": CAMERAS, "pose": POSES}
+TYPES: dict[Kind, frozenset[str]] = {
+    "scan": SCANS | packets.OUSTER,
+    "image": IMAGES,
+    "camera": CAMERAS,
+    "pose": POSES | {PATH},
+}
 """Kind of topic: the message types of it."""
 
 

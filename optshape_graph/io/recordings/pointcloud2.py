@@ -16,8 +16,8 @@ FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8
 def point_columns(message: Any, name: str) -> Columns:
     """Return the scalar fields of a sensor_msgs/PointCloud2, each (height * width,).
 
-    They are of the type and byte order in which they were sent. Fields of several values (descriptors) and unnamed
-    ones (padding) are left out.
+    They are of the type and byte order in which they were sent. Fields of several values (descriptors), unnamed ones
+    (padding), and those outside of the point are left out.
 
     Args:
         message: the deserialised message.
@@ -30,6 +30,8 @@ def point_columns(message: Any, name: str) -> Columns:
     if height * width == 0:
         raise BadMessage("empty", f"{height} x {width} points")
     row_step = int(message.row_step) if height > 1 else width * step
+    if row_step < width * step and len(message.data) == height * width * step:
+        row_step = width * step  # 0, or the width: some drivers do not fill it in
     needed = (height - 1) * row_step + width * step
     if step == 0 or row_step < width * step:
         raise BadMessage("malformed", f"{width} points of {step} bytes do not fit in rows of {row_step}")
@@ -45,16 +47,21 @@ def _point_type(message: Any) -> np.dtype[Any]:
     step = int(message.point_step)
     order = ">" if message.is_bigendian else "<"
     named: dict[str, tuple[str, int]] = {}
+    wrong: list[str] = []
     for field in message.fields:
-        if field.datatype not in FORMATS:
-            raise BadMessage("malformed", f"field '{field.name}' has datatype {field.datatype}; 1 to 8 are defined")
         if not field.name or field.name in named or field.count > 1:
+            continue
+        if field.datatype not in FORMATS:
+            wrong.append(f"field '{field.name}' has datatype {field.datatype}; 1 to 8 are defined")
             continue
         kind = np.dtype(order + FORMATS[field.datatype])
         if field.offset + kind.itemsize > step:
-            raise BadMessage("malformed", f"field '{field.name}' at byte {field.offset} of a point of {step}")
+            wrong.append(f"field '{field.name}' at byte {field.offset} of a point of {step}")
+            continue
         named[field.name] = (kind.str, int(field.offset))
     if missing := {"x", "y", "z"} - named.keys():
+        if wrong:
+            raise BadMessage("malformed", wrong[0])
         raise BadMessage("no coordinates", f"fields {', '.join(named)}; {', '.join(sorted(missing))} missing")
     formats, offsets = zip(*named.values(), strict=True)
     return np.dtype({"names": list(named), "formats": formats, "offsets": offsets, "itemsize": step})

@@ -13,6 +13,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.io.recordings.bags import Bag, is_bag
 from optshape_graph.io.recordings.folders import Folder
 from optshape_graph.io.recordings.images import Image
+from optshape_graph.io.recordings.packets import Capture, is_capture
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped, Stream
 from optshape_graph.io.recordings.topics import Kind, Mounting, Topic, chained, choose, listed
 from optshape_graph.scan import Scan
@@ -23,7 +24,7 @@ SURVEYED = 10
 
 
 class Recording:
-    """A ROS 1 or ROS 2 bag, an mcap file, or a folder of clouds with timestamps.
+    """A ROS 1 or ROS 2 bag, an mcap file, captured packets, or a folder of clouds with timestamps.
 
     A topic left out is the only one of its kind. Streams read as they are iterated, one message at a time.
 
@@ -39,19 +40,30 @@ class Recording:
         if not self.path.exists():
             raise InputError(f"{self.path}: no such file or folder")
         if is_bag(self.path):
-            self._source: Bag | Folder = Bag(self.path)
+            self._source: Bag | Folder | Capture = Bag(self.path)
+        elif is_capture(self.path):
+            self._source = Capture(self.path)
         elif self.path.is_dir():
             self._source = Folder(self.path)
         else:
             raise InputError(
-                f"{self.path}: expected a .bag, .mcap or .db3 file, a folder of a ROS 2 bag (with metadata.yaml), "
-                "or a folder of clouds with timestamps.txt"
+                f"{self.path}: expected a .bag, .mcap, .db3 or .pcap file, a folder of a ROS 2 bag (with "
+                "metadata.yaml), or a folder of clouds with timestamps.txt"
             )
 
     @property
     def topics(self) -> tuple[Topic, ...]:
         """All topics, also those of kinds that are not read."""
         return self._source.topics
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """Seconds of the first and the last message, as recorded; None: the recording does not say."""
+        return self._source.span if isinstance(self._source, Bag) else None
+
+    def mounting_frame(self, scan_topic: str | None = None) -> str:
+        """Return the frame that the scans of a topic are in; empty where the recording does not say."""
+        return self._source.frame(self.topic("scan", scan_topic)) if isinstance(self._source, Bag) else ""
 
     def topic(self, kind: Kind, name: str | None = None) -> Topic:
         """Return the topic of a kind and name, or the only one of a kind.

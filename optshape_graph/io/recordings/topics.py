@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import InputError
 
 Kind = Literal["scan", "image", "camera", "pose", "other"]
@@ -61,8 +61,8 @@ def listed(topics: Sequence[Topic]) -> str:
     return ", ".join(f"{topic.name} ({topic.type})" for topic in topics) or "none"
 
 
-@dataclass(frozen=True, eq=False)
-class Mounting:
+@dataclass(frozen=True, eq=False, repr=False)
+class Mounting(Value):
     """The LiDAR on the body that moves.
 
     Attributes:

@@ -41,6 +41,32 @@ def test_forms_of_timestamps(tmp_path, name, line):
         assert np.array_equal(scan.value.points, sent.astype(float))
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"scan_{k}" for k in (1, 2, 9, 10, 11, 100)],
+        [f"a{k}_b" for k in (1, 2, 10, 20)],
+        ["8", "9", "10", "100"],
+        ["1317.25", "1317.5", "1318.0"],
+        ["part1_9", "part1_10", "part2_1"],
+    ],
+)
+def test_names_are_sorted_as_numbers_are(tmp_path, names):
+    for k, name in enumerate(names):
+        write_scan(tmp_path / f"{name}.pcd", Scan(np.full((5, 3), k + 1.0)))
+    (tmp_path / "timestamps.txt").write_text("".join(f"{k}\n" for k in range(len(names))))
+    found = list(Recording(tmp_path).scans())
+    assert [scan.value.points[0, 0] for scan in found] == [k + 1.0 for k in range(len(names))]
+
+
+def test_another_number_of_stamps_than_of_files_is_an_error(tmp_path):
+    clouds(tmp_path, 4)
+    for count in (3, 5):
+        (tmp_path / "timestamps.txt").write_text("".join(f"{k}\n" for k in range(count)))
+        with pytest.raises(InputError, match=f"{count} stamps for 4 files .*; expected one for each file"):
+            list(Recording(tmp_path).scans())
+
+
 def test_a_header_line_is_not_a_stamp(tmp_path):
     clouds(tmp_path)
     (tmp_path / "timestamps.csv").write_text("stamp,file\n" + "".join(f"{k},{k:04d}.pcd\n" for k in range(4)))

@@ -17,7 +17,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, frozen
+from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._callback import CheckedFactor, relative_pose
 from optshape_graph.factors._rows import checked, in_plane, outer_rows, triangular
@@ -60,8 +60,8 @@ def plane_motion_rows(directions: ArrayLike) -> Floats:
     return outer_rows(q, np.broadcast_to([1.0, 0.0, 0.0], q.shape))
 
 
-@dataclass(frozen=True, eq=False)
-class AugmentedMeasurement:
+@dataclass(frozen=True, eq=False, repr=False)
+class AugmentedMeasurement(Value):
     """The cost 1/2 ||S [z; theta_1 vec R; ...; theta_k vec R; 1]||^2 of one target in one scan, exact.
 
     Attributes:

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from optshape_graph.calibration.camera.consensus import relative_pose, rigid_fit
+from optshape_graph.calibration.consensus import relative_pose, rigid_fit
 from tests.calibration.camera.support import transform
 
 HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])

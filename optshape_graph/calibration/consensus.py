@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.se3 import angle, inverse, transform
 
 MOST_HYPOTHESES = 400
@@ -25,8 +25,8 @@ TIE = 1.0
 """Squared standard deviations by which two readings of a placement count as equally good."""
 
 
-@dataclass(frozen=True, eq=False)
-class Consensus:
+@dataclass(frozen=True, eq=False, repr=False)
+class Consensus(Value):
     """What most placements agree on.
 
     Attributes:

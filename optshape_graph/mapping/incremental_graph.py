@@ -18,8 +18,7 @@ from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import Summary, summarise
 from optshape_graph.factors._rows import gaussian
 from optshape_graph.mapping.map import Landmark, Map
-from optshape_graph.mapping.priors import joint_prior, root_of
-from optshape_graph.mapping.smoother import Smoother
+from optshape_graph.mapping.smoother import Smoother, joint_prior, root_of
 from optshape_graph.mapping.track import Match, Odometry, Start
 from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
@@ -64,7 +63,7 @@ class _Held:
     handle: int
 
 
-class LandmarkGraph:
+class IncrementalGraph:
     """Poses by number and landmarks by name; whatever makes GTSAM raise is taken out again.
 
     Attributes:

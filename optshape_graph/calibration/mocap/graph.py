@@ -1,0 +1,197 @@
+"""The motion-capture graph: scans and markers of a session in one least-squares problem.
+
+E     T_lidar_mocap
+M_k   the marker near vertex k, target frame: a prior at the vertex, which alone tells a displacement of all markers
+from one of the frame
+H_i   T_target_lidar of scan i: its returns constrain it by the exact template factor, its markers by M and E
+S     scale of the motion capture, where it is estimated
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import E, H, M, S
+
+from optshape_graph._arrays import Floats, Value
+from optshape_graph.calibration.mocap.comparison import MocapScan
+from optshape_graph.errors import EstimationError
+from optshape_graph.factors import CheckedFactor, TemplateFactor
+from optshape_graph.se3 import apply, difference, inverse, skew
+
+SCALE_PRIOR = 0.05
+"""Standard deviation of the motion capture's scale about 1, where it is estimated."""
+
+
+@dataclass(frozen=True)
+class MarkerModel:
+    """What is assumed of the markers.
+
+    Attributes:
+        noise: standard deviation of a marker coordinate, metres.
+        layout_prior: standard deviation of a marker's place about its vertex along each axis, metres.
+        with_scale: whether the scale of the motion capture is estimated.
+    """
+
+    noise: float = 1e-3
+    layout_prior: float = 0.03
+    with_scale: bool = False
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Value):
+    """The minimum of the graph.
+
+    Attributes:
+        T_lidar_mocap: (4, 4).
+        covariance: (6, 6) of its right perturbation, rotation first.
+        layout: (n, 3) markers, target frame, metres.
+        layout_covariance: (n, 3, 3) of each.
+        scale: of the motion capture.
+        scale_sigma: its standard deviation; 0 where it was not estimated.
+        T_target_lidar: (4, 4) of each scan, by its number.
+        covariance_target_lidar: (6, 6) of their right perturbations.
+    """
+
+    T_lidar_mocap: Floats
+    covariance: Floats
+    layout: Floats
+    layout_covariance: Floats
+    scale: float
+    scale_sigma: float
+    T_target_lidar: dict[int, Floats]
+    covariance_target_lidar: dict[int, Floats]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Innovation(Value):
+    """A scan's estimate against what its markers say by the returns of the other scans.
+
+    Attributes:
+        chi_square: squared Mahalanobis distance, with 6 degrees of freedom were all covariances right.
+        T_lidar_target: (4, 4) that the others predict.
+        rms: root mean square distance of the vertices, metres.
+    """
+
+    chi_square: float
+    T_lidar_target: Floats
+    rms: float
+
+
+def solve(
+    scans: Sequence[MocapScan],
+    T_lidar_mocap: Floats,
+    model: MarkerModel,
+    used: Collection[int],
+    predicted: Collection[int] = (),
+) -> Solution:
+    """Minimise over some of the scans.
+
+    Args:
+        scans: all of them, of one target.
+        T_lidar_mocap: (4, 4) where to start.
+        model: of the markers.
+        used: numbers of the scans whose returns and markers take part.
+        predicted: numbers of the scans whose markers alone take part, so that they predict the target's pose.
+
+    Raises:
+        EstimationError: the scans leave T_lidar_mocap open, or the minimum is not found.
+    """
+    target, graph, values = scans[0].estimate.target, gtsam.NonlinearFactorGraph(), gtsam.Values()
+    values.insert(E(0), gtsam.Pose3(T_lidar_mocap))
+    near = gtsam.noiseModel.Isotropic.Sigma(3, model.layout_prior)
+    for k, vertex in enumerate(target.vertices):
+        values.insert(M(k), vertex)
+        graph.push_back(gtsam.PriorFactorPoint3(M(k), vertex, near))
+    if model.with_scale:
+        values.insert(S(0), 1.0)
+        graph.push_back(gtsam.PriorFactorDouble(S(0), 1.0, gtsam.noiseModel.Isotropic.Sigma(1, SCALE_PRIOR)))
+    for i in sorted({*used, *predicted}):
+        scan = scans[i]
+        values.insert(H(i), gtsam.Pose3(scan.estimate.T_target_lidar))
+        graph.push_back(marker_factor(scan.markers, i, model.noise, model.with_scale))
+        if i in used:
+            graph.push_back(TemplateFactor(scan.estimate.measurement, H(i)))
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(1e-12)
+    parameters.setAbsoluteErrorTol(1e-12)
+    values = gtsam.Values(gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize())
+    if not np.isfinite(graph.error(values)):
+        raise EstimationError("the motion-capture graph did not converge: its error is not finite")
+    try:
+        marginals = gtsam.Marginals(graph, values)
+        return Solution(
+            T_lidar_mocap=values.atPose3(E(0)).matrix(),
+            covariance=marginals.marginalCovariance(E(0)),
+            layout=np.array([values.atPoint3(M(k)) for k in range(len(target))]),
+            layout_covariance=np.array([marginals.marginalCovariance(M(k)) for k in range(len(target))]),
+            scale=values.atDouble(S(0)) if model.with_scale else 1.0,
+            scale_sigma=float(np.sqrt(marginals.marginalCovariance(S(0))[0, 0])) if model.with_scale else 0.0,
+            T_target_lidar={i: values.atPose3(H(i)).matrix() for i in sorted({*used, *predicted})},
+            covariance_target_lidar={i: marginals.marginalCovariance(H(i)) for i in sorted({*used, *predicted})},
+        )
+    except RuntimeError as error:
+        raise EstimationError(f"the session leaves T_lidar_mocap undetermined ({error})") from error
+
+
+def innovations(
+    scans: Sequence[MocapScan], T_lidar_mocap: Floats, model: MarkerModel, used: Collection[int]
+) -> dict[int, Innovation]:
+    """Compare every scan, by its number, with the used ones but itself.
+
+    Args:
+        scans: all of them.
+        T_lidar_mocap: (4, 4) where to start.
+        model: of the markers.
+        used: numbers of the scans that are believed.
+
+    Raises:
+        EstimationError: see `solve`.
+    """
+    found = {}
+    for i, scan in enumerate(scans):
+        others = [k for k in used if k != i]
+        if not others:
+            continue
+        estimate, solution = scan.estimate, solve(scans, T_lidar_mocap, model, others, [i])
+        predicted = solution.T_target_lidar[i]
+        x = difference(predicted, estimate.T_target_lidar)
+        total = solution.covariance_target_lidar[i] + estimate.covariance_target_lidar
+        T = inverse(predicted)
+        off = apply(T, estimate.target.vertices) - estimate.vertices
+        rms = float(np.sqrt((off**2).sum(axis=1).mean()))
+        found[i] = Innovation(float(x @ np.linalg.solve(total, x)), T, rms)
+    return found
+
+
+def marker_factor(markers: Floats, i: int, sigma: float, with_scale: bool) -> gtsam.CustomFactor:
+    """Return the factor of one scan's markers: H_i T_lidar_mocap (s q_k) - m_k for every marker that was seen.
+
+    Args:
+        markers: (n, 3) q_k, metres, motion-capture frame, NaN where not seen.
+        i: the scan's index, of the key of T_target_lidar.
+        sigma: standard deviation of a coordinate, metres.
+        with_scale: whether s is a variable.
+    """
+    seen = np.flatnonzero(np.isfinite(markers).all(axis=1))
+    keys = [H(i), E(0), *(M(int(k)) for k in seen), *([S(0)] if with_scale else [])]
+    q = markers[seen]
+
+    def evaluate(values: gtsam.Values) -> tuple[Floats, list[Floats]]:
+        scale = values.atDouble(S(0)) if with_scale else 1.0
+        T_target_lidar, T_lidar_mocap = values.atPose3(H(i)).matrix(), values.atPose3(E(0)).matrix()
+        R_t, R_l = T_target_lidar[:3, :3], T_lidar_mocap[:3, :3]
+        in_lidar = scale * q @ R_l.T + T_lidar_mocap[:3, 3]
+        in_target = in_lidar @ R_t.T + T_target_lidar[:3, 3]
+        layout = np.array([values.atPoint3(M(int(k))) for k in seen])
+        by_pose = np.vstack([np.hstack([-R_t @ skew(p), R_t]) for p in in_lidar])
+        by_frame = np.vstack([R_t @ np.hstack([-R_l @ skew(scale * p), R_l]) for p in q])
+        by_layout = [-np.eye(3 * len(seen))[:, 3 * k : 3 * k + 3] for k in range(len(seen))]
+        by_scale = [(q @ R_l.T @ R_t.T).reshape(-1, 1)] if with_scale else []
+        jacobians = [by_pose, by_frame, *by_layout, *by_scale]
+        return (in_target - layout).ravel() / sigma, [J / sigma for J in jacobians]
+
+    return CheckedFactor(evaluate, 3 * len(seen), keys, [6, 6, *[3] * len(seen), *([1] if with_scale else [])])

@@ -1,0 +1,52 @@
+"""`optshape info`: what a file is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
+@click.option("--columns", metavar="NAMES", help="Names of a cloud's columns that has none: x,y,z,_,ring.")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the facts to this file.")
+def command(files: tuple[Path, ...], columns: str | None, json_path: Path | None) -> int:
+    """Say what each FILE is: form, fields and units, rings, times, topics and spans, and the sensor it looks like.
+
+    FILE is anything that the package reads: a cloud, a bag, a folder of clouds, captured packets, a session, a camera,
+    a sensor, motion capture, a trajectory, a result, an image. Exit status 3: some files are of no form that is read.
+    """
+    from optshape_graph.errors import OptshapeError
+    from optshape_graph.io.describe import describe
+    from optshape_graph.io.documents import write_json
+
+    found: list[dict[str, Any]] = []
+    problems: list[OptshapeError] = []
+    for file in files:
+        try:
+            facts = describe(file, None if columns is None else columns.split(","))
+        except OptshapeError as error:
+            problems.append(error)
+            found.append({"file": str(file), "form": None, "problem": str(error)})
+            click.echo(f"optshape: {error}", err=True)
+            continue
+        found.append({"file": str(file), **facts})
+        click.echo(click.style(str(file), bold=True))
+        _print(facts, 2)
+    if json_path:
+        write_json(json_path, {"schema": "optshape/info/1", "files": found})
+    if len(problems) == len(files):
+        raise problems[0]
+    return 3 if problems else 0
+
+
+def _print(facts: dict[str, Any], indent: int) -> None:
+    width = max((len(name) for name in facts), default=0)
+    for name, value in facts.items():
+        if isinstance(value, dict):
+            click.echo(" " * indent + name)
+            _print(value, indent + 2)
+        else:
+            click.echo(" " * indent + f"{name:<{min(width, 24)}}  {value}")

@@ -1,0 +1,71 @@
+"""Scans as a command line names them: files, folders, patterns, and lists of files."""
+
+from __future__ import annotations
+
+import re
+from glob import glob
+from pathlib import Path
+
+import click
+
+ENDINGS = (".pcd", ".ply", ".npz")
+"""Of the clouds that are taken of a folder; a CSV may be anything, and is named by itself or by a pattern."""
+
+MOST_SCANS = 10_000_000
+
+
+def scan_paths(words: tuple[str, ...]) -> list[str]:
+    """Return the files that words name, in their order; those of a folder or a pattern as numbers in names count.
+
+    Args:
+        words: a file; a folder: its clouds; a pattern such as `drive/*.pcd`; `@list`: the files that a text file names,
+            one a line, relative to its own folder.
+
+    Raises:
+        click.UsageError: a word that names nothing, or too many files.
+    """
+    found: list[str] = []
+    for word in words:
+        found += _files(word)
+        if len(found) > MOST_SCANS:
+            raise click.UsageError(f"more than {MOST_SCANS} scans")
+    return found
+
+
+def by_number(name: str) -> list[str | int]:
+    """Return a key that sorts names as people count: scan_2 before scan_10."""
+    return [int(part) if part.isdigit() else part for part in re.split(r"([0-9]+)", name)]
+
+
+def _files(word: str) -> list[str]:
+    path = Path(word)
+    if word.startswith("@"):
+        return _listed(Path(word[1:]))
+    if _is_folder(path):
+        inside = [str(one) for one in path.iterdir() if one.suffix.lower() in ENDINGS and not one.name.startswith(".")]
+        if not inside:
+            raise click.UsageError(f"{word}: no clouds in the folder ({', '.join(ENDINGS)})")
+        return sorted(inside, key=by_number)
+    if re.search(r"[*?[]", word) and not path.exists():
+        matching = sorted(glob(word), key=by_number)
+        if not matching:
+            raise click.UsageError(f"{word}: no file matches")
+        return matching
+    return [word]
+
+
+def _listed(path: Path) -> list[str]:
+    from optshape_graph.io.files import read_text
+
+    lines = [line.strip() for line in read_text(path).splitlines()]
+    named = [str(path.parent / line) for line in lines if line and not line.startswith("#")]
+    if not named:
+        raise click.UsageError(f"@{path}: the list names no files")
+    return named
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False

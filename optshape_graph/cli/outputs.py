@@ -1,0 +1,161 @@
+"""What a command will write, checked before the work: the place, the rights, the room, and what would be lost."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+from optshape_graph.errors import InputError
+
+OF_INPUTS = frozenset({
+    ".pcd", ".ply", ".npz", ".npy", ".csv", ".bin", ".las", ".laz", ".pcap", ".bag", ".mcap", ".db3", ".yaml", ".yml",
+    ".json", ".xml", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".c3d", ".tsv", ".mat", ".trc", ".stl", ".obj", ".ipynb",
+    ".py", ".md",
+})  # fmt: skip
+"""Endings of files that hold somebody's work: they are not written over unasked."""
+
+LEAST_ROOM = 1 << 20
+"""Bytes that must be free where something is written."""
+
+
+class Outputs:
+    """The outputs of one run of a command.
+
+    An existing file is replaced if it is an older result of the same form, or if its ending is none that inputs have;
+    any other only with `force`. An input is never written over.
+
+    Args:
+        inputs: files that the command reads.
+        force: write over what is there.
+    """
+
+    def __init__(self, inputs: Iterable[str | Path | None] = (), *, force: bool = False) -> None:
+        self._inputs = {key: Path(path) for path in inputs if path is not None and (key := _identity(Path(path)))}
+        self._force = force
+        self._named: dict[Path, str] = {}
+
+    def file(
+        self, option: str, path: Path | None, form: str = "", *, bytes_needed: int = LEAST_ROOM, replace: bool = True
+    ) -> None:
+        """Check a file.
+
+        Args:
+            option: that names it, for messages.
+            path: of the file; None: nothing is written.
+            form: kind of our own that it is, such as "estimate"; "": another program's.
+            bytes_needed: that it will take, about.
+            replace: whether an older result of that form may be replaced unasked.
+
+        Raises:
+            InputError: it cannot be written, is an input, or would replace something else.
+        """
+        if path is None:
+            return
+        self._check_name(option, path)
+        if path.is_dir():
+            raise InputError(f"{option} {path}: expected the name of a file, found a folder")
+        if (identity := _identity(path)) in self._inputs:
+            raise InputError(f"{option} {path}: is an input ({self._inputs[identity]}); choose another name")
+        if _is_special(path):
+            return  # /dev/stdout
+        if path.exists() and not self._force and not (replace and _is_older(path, form)):
+            raise InputError(f"{option} {path}: is there, and no older result of this command; --force writes over it")
+        if path.exists() and not os.access(path, os.W_OK):
+            raise InputError(f"{option} {path}: cannot be written (Permission denied)")
+        _check_folder(option, path.parent, bytes_needed)
+
+    def folder(self, option: str, path: Path | None) -> None:
+        """Check a folder, which is made if it is not there.
+
+        Args:
+            option: that names it, for messages.
+            path: of the folder; None: nothing is written.
+
+        Raises:
+            InputError: it cannot be written, or is a file.
+        """
+        if path is None:
+            return
+        self._check_name(option, path)
+        place = path
+        while not _exists(place) and place != place.parent:
+            place = place.parent
+        if not place.is_dir():
+            raise InputError(f"{option} {path}: {place} is a file, not a folder")
+        _check_folder(option, place, LEAST_ROOM)
+
+    def new(self, option: str, path: Path) -> None:
+        """Check a file that a command makes beside others: it is written over only with `force`.
+
+        Args:
+            option: that leads to it, for messages.
+            path: of the file.
+
+        Raises:
+            InputError: it is there, is an input, or cannot be written.
+        """
+        self.file(option, path, replace=False)
+
+    def is_input(self, path: Path) -> bool:
+        """Whether a file is one that the command reads."""
+        return _identity(path) in self._inputs
+
+    def _check_name(self, option: str, path: Path) -> None:
+        try:
+            place = path.resolve()
+        except (OSError, ValueError, RuntimeError) as error:
+            raise InputError(f"{option} {str(path)!r}: not the name of a file ({error})") from error
+        if place in self._named and self._named[place] != option:
+            raise InputError(f"{option} {path}: is the output of {self._named[place]}, too")
+        self._named[place] = option
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Device and number of a file, whatever name leads to it; None: there is none."""
+    try:
+        state = path.stat()
+    except (OSError, ValueError):
+        return None
+    return state.st_dev, state.st_ino
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def _is_special(path: Path) -> bool:
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        return False
+    return not stat.S_ISREG(mode) and not stat.S_ISDIR(mode)
+
+
+def _is_older(path: Path, form: str) -> bool:
+    """Whether a file is empty, an older result of a form, or of a kind that is nobody's input."""
+    if path.stat().st_size == 0:
+        return True
+    if form:
+        with path.open("rb") as stream:
+            return f"optshape/{form}/".encode() in stream.read(4096)
+    return path.suffix.lower() not in OF_INPUTS
+
+
+def _check_folder(option: str, folder: Path, bytes_needed: int) -> None:
+    """Try to write in a folder."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+        free = shutil.disk_usage(folder).free
+    except (OSError, ValueError) as error:
+        said = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{option}: nothing can be written to {folder} ({said})") from error
+    if free < bytes_needed:
+        raise InputError(f"{option}: {free} bytes are free at {folder}; about {bytes_needed} are needed")

@@ -1,0 +1,66 @@
+"""Rays near a target: those that returned, and those that were fired."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph.detection.segments import OrderedScan
+from optshape_graph.pose import PoseEstimate
+
+_STEEP = 1e-3  # cosine of incidence below which a ray counts as parallel to the plane
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rays(Value):
+    """Returned rays that pass near a target.
+
+    Attributes:
+        rows: (N,) of the ordered scan.
+        crossing: (N, 2) where they meet the target's plane, target frame, metres.
+        points: (N, 3) where they returned, target frame, metres: x is how far behind the plane, negative in front.
+    """
+
+    rows: Ints
+    crossing: Floats
+    points: Floats
+
+
+def returned_near(scan: OrderedScan, estimate: PoseEstimate, radius: float) -> Rays:
+    """Find the returned rays that pass within `radius`, metres, of a target's origin in its plane."""
+    T = estimate.T_target_lidar
+    near = scan.toward(estimate.T_lidar_target[:3, 3], radius)
+    points = scan.points[near] @ T[:3, :3].T + T[:3, 3]
+    crossing, meets = _cross(points, T[:3, 3], scan.range[near], radius)
+    return Rays(near[meets], crossing[meets], points[meets])
+
+
+def fired_near(scan: OrderedScan, estimate: PoseEstimate, radius: float) -> Floats:
+    """Return where the rays that were fired within `radius` of a target's origin meet its plane, (M, 2), metres.
+
+    Whether they returned or not: azimuths a step apart on every ring of the sensor.
+    """
+    centre, T = estimate.T_lidar_target[:3, 3], estimate.T_target_lidar
+    away, flat = float(np.linalg.norm(centre)), float(np.hypot(centre[0], centre[1]))
+    half = np.arcsin(min(radius / away, 1.0)) if away > 0 else np.pi
+    elevation = np.arcsin(centre[2] / away)
+    rings = scan.elevations[np.abs(scan.elevations - elevation) <= half]
+    half = np.arcsin(radius / flat) if radius < flat else np.pi
+    azimuth = np.arctan2(centre[1], centre[0]) + np.arange(-half, half, scan.resolution.step)
+    across = np.cos(rings)[:, None]
+    directions = np.stack(
+        np.broadcast_arrays(across * np.cos(azimuth), across * np.sin(azimuth), np.sin(rings)[:, None]), axis=-1
+    ).reshape(-1, 3)
+    crossing, meets = _cross(directions @ T[:3, :3].T + T[:3, 3], T[:3, 3], np.ones(len(directions)), radius)
+    return np.asarray(crossing[meets])
+
+
+def _cross(points: Floats, sensor: Floats, ranges: Floats, radius: float) -> tuple[Floats, Bools]:
+    """Where the rays to points (N, 3), target frame, meet its plane (N, 2); which (N,) do so within a radius."""
+    rays = points - sensor
+    ahead = rays[:, 0] > _STEEP * ranges
+    scale = -sensor[0] / np.where(ahead, rays[:, 0], 1.0)
+    crossing = sensor[1:] + scale[:, None] * rays[:, 1:]
+    return crossing, ahead & ((crossing**2).sum(axis=1) < radius**2)

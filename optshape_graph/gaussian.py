@@ -1,0 +1,93 @@
+"""The standard normal distribution, and sums of exponentials, in logarithms: to the last digits, in NumPy.
+
+SciPy has the same; importing `scipy.special` takes longer than estimating a pose, and most runs estimate few.
+
+With t = |x| / sqrt(2) the smaller tail is erfc(t) / 2. Below t = 1 that is 1 - erf(t), erf being t times a ratio of
+polynomials in t^2; from there on it is exp(-t^2) times a ratio in t. The ratios are those of Cephes (Moshier, Methods
+and Programs for Mathematical Functions, 1989).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optshape_graph._arrays import Floats
+
+_ERF = (
+    [9.60497373987051638749, 9.00260197203842689217e1, 2.23200534594684319226e3, 7.00332514112805075473e3,
+     5.55923013010394962768e4],
+    [1.0, 3.35617141647503099647e1, 5.21357949780152679795e2, 4.59432382970980127987e3, 2.26290000613890934246e4,
+     4.92673942608635921086e4],
+)  # fmt: skip
+_NEAR = (
+    [2.46196981473530512524e-10, 5.64189564831068821977e-1, 7.46321056442269912687, 4.86371970985681366614e1,
+     1.96520832956077098242e2, 5.26445194995477358631e2, 9.34528527171957607540e2, 1.02755188689515710272e3,
+     5.57535335369399327526e2],
+    [1.0, 1.32281951154744992508e1, 8.67072140885989742329e1, 3.54937778887819891062e2, 9.75708501743205489753e2,
+     1.82390916687909736289e3, 2.24633760818710981792e3, 1.65666309194161350182e3, 5.57535340817727675546e2],
+)  # fmt: skip
+_FAR = (
+    [5.64189583547755073984e-1, 1.27536670759978104416, 5.01905042251180477414, 6.16021097993053585195,
+     7.40974269950448939160, 2.97886665372100240670],
+    [1.0, 2.26052863220117276590, 9.39603524938001434673, 1.20489539808096656605e1, 1.70814450747565897222e1,
+     9.60896809063285878198, 3.36907645100081516050],
+)  # fmt: skip
+
+_FAR_FROM = 8.0
+"""t from which on the ratio for far tails is taken."""
+
+
+def ndtr(x: ArrayLike) -> Floats:
+    """Return the probability (...) that a standard normal variable is below x (...), as a number."""
+    x = np.asarray(x, float)
+    t = np.abs(x) * np.sqrt(0.5)
+    with np.errstate(under="ignore"):
+        tail = 0.5 * np.where(t < 1.0, 1.0 - _erf(np.minimum(t, 1.0)), np.exp(-t * t) * _scaled_tail(t))
+    return np.asarray(np.where(x < 0.0, tail, 1.0 - tail))
+
+
+def log_ndtr(x: ArrayLike) -> Floats:
+    """Return the logarithm (...) of `ndtr`, a number that does not underflow."""
+    x = np.asarray(x, float)
+    t = np.abs(x) * np.sqrt(0.5)
+    with np.errstate(under="ignore"):
+        scaled = _scaled_tail(t)
+        tail = 0.5 * np.where(t < 1.0, 1.0 - _erf(np.minimum(t, 1.0)), np.exp(-t * t) * scaled)
+        below = np.where(t < 1.0, np.log(np.maximum(tail, 0.01)), np.log(0.5 * scaled) - t * t)
+    return np.asarray(np.where(x < 0.0, below, np.log1p(-tail)))
+
+
+def logsumexp(values: ArrayLike, axis: int | None = None) -> Floats:
+    """Return the logarithm of the sum of the exponentials of values (...), along an axis or of all: numbers."""
+    values = np.asarray(values, float)
+    top = np.max(values, axis=axis, keepdims=True)
+    top = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore", under="ignore"):
+        total = np.log(np.exp(values - top).sum(axis=axis, keepdims=True)) + top
+    return np.asarray(np.squeeze(total, axis=axis))
+
+
+def _erf(t: Floats) -> Floats:
+    """Return erf(t) for t from 0 to 1."""
+    return np.asarray(t * _ratio(_ERF, t * t))
+
+
+def _scaled_tail(t: Floats) -> Floats:
+    """Return exp(t^2) erfc(t) for t from 1 on; below, anything finite."""
+    near = _ratio(_NEAR, np.clip(t, 1.0, _FAR_FROM))
+    if not (t > _FAR_FROM).any():
+        return near
+    reached = np.clip(t, _FAR_FROM, 1e30)
+    return np.where(t > _FAR_FROM, _ratio(_FAR, 1.0 / reached, flipped=True) / reached, near)
+
+
+def _ratio(of: tuple[list[float], list[float]], x: Floats, flipped: bool = False) -> Floats:
+    """Return a ratio of polynomials; flipped: in 1 / x, where its powers would overflow, times x."""
+    top, bottom = (part[::-1] if flipped else part for part in of)
+    p, q = np.full_like(x, top[0]), np.full_like(x, bottom[0])
+    for c in top[1:]:
+        p = p * x + c
+    for c in bottom[1:]:
+        q = q * x + c
+    return np.asarray(p / q)

@@ -1,0 +1,171 @@
+"""What a keyframe's scan shows: the targets in it, each where it was when the LiDAR stood at the scan's stamp."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import suppress
+from functools import partial
+from multiprocessing import get_context
+from typing import NamedTuple
+
+import numpy as np
+
+from optshape_graph._arrays import Floats
+from optshape_graph.detection import detect_targets
+from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.mapping.keyframes import HALF_REVOLUTION, Keyframe
+from optshape_graph.mapping.motion import deskew, estimate_moving
+from optshape_graph.mapping.shapes import shape_measurement
+from optshape_graph.mapping.sweep import Sweep
+from optshape_graph.mapping.track import Sighting
+from optshape_graph.pose import PoseEstimate
+from optshape_graph.scan import Scan
+from optshape_graph.target import Target
+
+SLOW = np.array([0.01] * 3 + [0.02] * 3)
+"""Twist, rad/s and m/s, below which a scan counts as taken at rest: a millimetre in half a revolution."""
+
+OFF_ITS_RING = 0.25
+"""Share of the gap between rings by which deskewing may lift returns off their elevation: with less the estimate is the
+same to a fraction of its standard deviation (0.15, root mean square); with more it takes one at the target's own time,
+in whose frame rings are where they were fired."""
+
+AHEAD = 2
+"""Scans that each worker has waiting: more would only take memory."""
+
+
+class Observed(NamedTuple):
+    """What was seen at a keyframe.
+
+    Attributes:
+        stamp: seconds.
+        T_odometry_lidar: (4, 4) at the stamp; None: no odometry.
+        distance: gone since the keyframe before, metres.
+        sightings: of targets.
+        failure: why the scan could not be used, else empty.
+    """
+
+    stamp: float
+    T_odometry_lidar: Floats | None
+    distance: float
+    sightings: tuple[Sighting, ...]
+    failure: str
+
+
+def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: bool, biases: bool = True) -> Observed:
+    """Find the targets in a keyframe's scan, moved to the scan's stamp.
+
+    A scan with times is deskewed: whatever the LiDAR did in between is a known motion. Outlines are straight then; but
+    where the motion lifts returns off their rings, poses are estimated at each target's own time.
+
+    Args:
+        keyframe: the scan and its motion.
+        targets: to look for.
+        named: whether there is one of each template, so that the template is the landmark's name.
+        shapes: whether to keep what refines the vertices.
+        biases: whether to keep what tells the biases of the LiDAR's rings: a few kilobytes for each sighting.
+    """
+    scan, sweep = keyframe.scan, keyframe.sweep
+    T_odometry_lidar = None if sweep is None else sweep.T_odometry_lidar
+    moving = sweep is not None and scan.time is not None and bool((np.abs(sweep.twist) > SLOW).any())
+    straight = deskew(scan, sweep) if sweep is not None and moving else scan
+    try:
+        found = detect_targets(straight, targets).found
+    except (EstimationError, InputError) as error:
+        return Observed(keyframe.stamp, T_odometry_lidar, keyframe.distance, (), _reason(error))
+    sightings = []
+    for detection in found:
+        name = detection.target.name if named else None
+        if detection.rival is not None and detection.status == "ambiguous":
+            continue  # which target it is, is not known
+        fired, returns = scan.select(detection.indices), straight.select(detection.indices)
+        if sweep is not None and moving and _lifted(fired, returns) > OFF_ITS_RING:
+            seen = _moving_sighting(fired, detection.target, sweep, name, shapes, biases)
+        elif detection.estimate.status != "failed":
+            seen = _sighting(detection.estimate, returns, name, shapes, biases)
+            if sweep is not None:
+                seen = seen.moved(np.eye(4), _uncertainty(fired, sweep))
+        else:
+            seen = None
+        if seen is not None:
+            sightings.append(seen)
+    return Observed(keyframe.stamp, T_odometry_lidar, keyframe.distance, tuple(sightings), "")
+
+
+def _uncertainty(fired: Scan, sweep: Sweep) -> Floats:
+    """How well the motion from a scan's stamp to the time of some returns is known (6, 6), rotation first.
+
+    Without times, that is any within half a revolution of the stamp.
+    """
+    if fired.time is None:
+        return np.outer(sweep.twist, sweep.twist) * HALF_REVOLUTION**2 / 3.0
+    return sweep.uncertainty(0.0, float(fired.time.mean()))
+
+
+def _lifted(fired: Scan, straight: Scan) -> float:
+    """Largest change of a return's elevation by deskewing, in the least gap between the rings on the target."""
+    before, after = (np.arctan2(p[:, 2], np.hypot(p[:, 0], p[:, 1])) for p in (fired.points, straight.points))
+    assert fired.ring is not None  # targets are found ring by ring
+    _, ring = np.unique(fired.ring, return_inverse=True)
+    of_ring = np.bincount(ring, before) / np.bincount(ring)
+    return float(np.abs(after - before).max() / np.diff(of_ring).min())  # four rings at least: it was detected
+
+
+def _sighting(estimate: PoseEstimate, returns: Scan, name: str | None, shapes: bool, biases: bool) -> Sighting:
+    shape = shape_measurement(estimate, returns) if shapes and estimate.status == "ok" else None
+    return Sighting.of(estimate, name, shape, biases=biases)
+
+
+def _moving_sighting(
+    returns: Scan, target: Target, sweep: Sweep, name: str | None, shapes: bool, biases: bool
+) -> Sighting | None:
+    """A sighting from the scan's stamp, of returns taken while moving; None where they give no pose."""
+    try:
+        estimate, at = estimate_moving(returns, target, sweep)
+    except EstimationError:
+        return None
+    if estimate.status == "failed":
+        return None
+    sighting = _sighting(estimate, deskew(returns, sweep, at), name, shapes, biases)
+    return sighting.moved(sweep.between(0.0, at), sweep.uncertainty(0.0, at))
+
+
+def observe_all(
+    frames: Iterable[Keyframe],
+    targets: Sequence[Target],
+    named: bool,
+    shapes: bool,
+    workers: int = 1,
+    biases: bool = True,
+) -> Iterator[Observed]:
+    """Observe keyframes in their order, with several processes, a few scans ahead: memory does not grow."""
+    work = partial(observe, targets=tuple(targets), named=named, shapes=shapes, biases=biases)
+    if workers == 1:
+        yield from map(work, frames)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
+        waiting: list[Future[Observed]] = []
+        try:
+            for frame in frames:
+                waiting.append(pool.submit(work, frame))
+                if len(waiting) >= AHEAD * workers:
+                    yield waiting.pop(0).result()
+            while waiting:
+                yield waiting.pop(0).result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def _one_thread() -> None:
+    """Keep the processes from competing for cores with threads of their own, where that can be told."""
+    with suppress(ImportError):
+        from threadpoolctl import threadpool_limits
+
+        threadpool_limits(1)
+
+
+def _reason(error: Exception) -> str:
+    """The error without the scan's name, so that equal ones are counted together."""
+    return str(error).split(": ", 1)[-1]

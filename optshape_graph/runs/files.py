@@ -1,0 +1,157 @@
+"""One function over many files, its results the entries of one document that are kept as they come."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import optshape_graph
+from optshape_graph.errors import InputError, OptshapeError
+from optshape_graph.io.documents import json_text
+from optshape_graph.io.files import open_atomically
+from optshape_graph.runs.interruption import going_on
+from optshape_graph.runs.journal import Journal, journal_of
+from optshape_graph.runs.workers import Lost, Pool
+
+Progress = Callable[[int, int], None]
+"""Called with the number of files that are done, and that of all."""
+
+UNREADABLE = "unreadable"
+"""Status of a file that is none of its kind."""
+
+LIST = "scans"
+"""Key of the document under which its entries stand."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one file.
+
+    Attributes:
+        status: "ok", "ambiguous", "failed" or `UNREADABLE`.
+        reasons: why it is not ok, a line for each thing.
+        entry: what the document says of it, plain data.
+        pictures: files that were drawn of it.
+    """
+
+    status: str
+    reasons: tuple[str, ...]
+    entry: Mapping[str, Any]
+    pictures: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """A function whose outcome is a line of the journal, entry encoded: workers have that to do as well."""
+
+    function: Callable[[str], Outcome]
+
+    def __call__(self, path: str) -> dict[str, Any]:
+        return _line(self.function(path), path)
+
+
+@contextmanager
+def run_files(
+    function: Callable[[str], Outcome],
+    paths: Sequence[str],
+    failed: Callable[[str, str], Outcome],
+    *,
+    form: str,
+    describe: Mapping[str, Any],
+    output: Path | None = None,
+    pool: Pool | None = None,
+    progress: Progress | None = None,
+) -> Iterator[Journal]:
+    """Apply a function to files, and write the document of all; go on where a run that was stopped ended.
+
+    Args:
+        function: of a path; importable by name, picklable with what it holds.
+        paths: of the files, in the order of the document.
+        failed: outcome of a path and a reason, for a file whose worker was killed.
+        form: kind of the document, `optshape/<form>/1`.
+        describe: plain data that say what is done with each file.
+        output: of the document; its journal is beside it until it is written. None: nothing is written.
+        pool: what runs it; None: this process.
+        progress: called as files are done.
+
+    Yields:
+        The journal: a line for each file, in their order, with its `status`, `reasons` and `entry` (JSON text).
+
+    Raises:
+        InputError: not one of the files can be read, or the output or its journal cannot be written.
+    """
+    what = {"form": form, "version": optshape_graph.__version__, **describe, "files": fingerprint(paths)}
+    journal_path = None if output is None else journal_of(output)
+    with Journal(journal_path, what, len(paths)) as journal:
+        if progress is not None:
+            progress(journal.finished, len(paths))
+        try:
+            for number, line in (pool or Pool()).run(_Kept(function), ((n, paths[n]) for n in journal.todo())):
+                journal.add(number, _line(failed(paths[number], line.reason), "") if isinstance(line, Lost) else line)
+                if progress is not None:
+                    progress(journal.finished, len(paths))
+        except BaseException as error:
+            kept = f"{journal.finished} of {len(paths)} files are done"
+            kept += f" and kept in {journal_path}; the same command goes on there" if journal_path else ", none is kept"
+            with going_on(f"{kept}{'' if journal_path else ' without --json'}"):
+                raise error
+        first = next((line for line in journal if line["status"] != UNREADABLE), None)
+        if first is None and len(paths):
+            reason = journal[0]["reasons"][0]
+            journal.remove()
+            raise InputError(reason)
+        if output is not None:
+            write_entries(output, f"optshape/{form}/1", (line["entry"] for line in journal))
+        yield journal
+        journal.remove()
+
+
+def write_entries(path: Path, schema: str, entries: Iterator[str]) -> None:
+    """Write a document whose one list has these entries, one at a time.
+
+    Args:
+        path: of the document.
+        schema: what it says it is.
+        entries: JSON text of each.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    with open_atomically(path) as stream:
+        stream.write(f'{{\n  "schema": {json.dumps(schema)},\n  "{LIST}": ['.encode())
+        separator = "\n    "
+        for entry in entries:
+            stream.write(f"{separator}{entry}".encode())
+            separator = ",\n    "
+        stream.write(b"]\n}\n" if separator == "\n    " else b"\n  ]\n}\n")
+
+
+def fingerprint(paths: Sequence[str]) -> str:
+    """Return a short text that changes when a file is another, or was changed: names, sizes and times.
+
+    Args:
+        paths: of the files.
+    """
+    found = hashlib.sha256()
+    for path in paths:
+        try:
+            state = os.stat(path)
+            found.update(f"{path}\0{state.st_size}\0{state.st_mtime_ns}\n".encode(errors="surrogateescape"))
+        except (OSError, ValueError):
+            found.update(f"{path}\0\n".encode(errors="surrogateescape"))
+    return found.hexdigest()[:16]
+
+
+def _line(outcome: Outcome, path: str) -> dict[str, Any]:
+    try:
+        entry = json_text(outcome.entry, path, "    ")
+    except OptshapeError as error:
+        raise OptshapeError(f"{path}: its result cannot be written ({error})") from error
+    line = {"status": outcome.status, "reasons": list(outcome.reasons), "entry": entry}
+    return line | ({"pictures": list(outcome.pictures)} if outcome.pictures else {})

@@ -1,0 +1,182 @@
+"""The journal of a run: a line for each finished task, so that a run that was stopped goes on where it was.
+
+The first line says what is run; every other is a JSON object whose first key is the task's number. A line is written at
+once and whole; half a line at the end, of a process that was killed, is cut off. The file is locked while a process has
+it open, so that a second run of the same output is told.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import re
+from array import array
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO, Self
+
+from optshape_graph.errors import InputError
+
+KIND = "journal of optshape_graph, 1"
+"""What the first line says that the file is."""
+
+_TASK = re.compile(rb'\{"task": (\d{1,12}),')
+
+
+class Journal:
+    """What is finished of a run, on disk; in memory only where each line stands.
+
+    Args:
+        path: of the journal; None: it is forgotten when it is closed.
+        describe: plain data that say what is run: a journal of another run is refused.
+        count: number of the tasks.
+
+    Raises:
+        InputError: the file holds another run, is in use, or cannot be written.
+    """
+
+    def __init__(self, path: Path | None, describe: Mapping[str, Any], count: int) -> None:
+        self.path, self.count = path, count
+        self.finished = 0
+        self._places = array("q", [-1]) * count
+        self._file = _unnamed() if path is None else _locked(path)
+        try:
+            self._begin({"kind": KIND, "digest": digest({**describe, "tasks": count}), "tasks": count})
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __contains__(self, task: int) -> bool:
+        return self._places[task] >= 0
+
+    def __getitem__(self, task: int) -> dict[str, Any]:
+        self._file.seek(self._places[task])
+        return self._parsed(self._file.readline(), task)
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        """Lines of the finished tasks, in the order of the tasks."""
+        return (self[task] for task in range(self.count) if task in self)
+
+    def todo(self) -> Iterator[int]:
+        """Numbers of the tasks that are not finished."""
+        return (task for task in range(self.count) if self._places[task] < 0)
+
+    def add(self, task: int, line: Mapping[str, Any]) -> None:
+        """Keep what came of a task.
+
+        Args:
+            task: its number.
+            line: plain data with finite numbers.
+
+        Raises:
+            InputError: the disk is full, or the file cannot be written.
+        """
+        if task in self:
+            return
+        data = json.dumps({"task": task, **line}, allow_nan=False).encode() + b"\n"
+        place = self._file.seek(0, os.SEEK_END)
+        try:
+            written = self._file.write(data)
+            if written != len(data):
+                raise OSError(f"{written} of {len(data)} bytes were written")
+        except OSError as error:
+            self._file.truncate(place)
+            raise InputError(
+                f"{self.path or 'temporary file'}: cannot be written ({error.strerror or error})"
+            ) from error
+        self._places[task] = place
+        self.finished += 1
+
+    def close(self) -> None:
+        """Close the file, and let others have it."""
+        self._file.close()
+
+    def remove(self) -> None:
+        """Remove the file: what it was kept for is written."""
+        if self.path is not None:
+            self.path.unlink(missing_ok=True)
+        self.close()
+
+    def _begin(self, header: dict[str, Any]) -> None:
+        self._file.seek(0)
+        first = self._file.readline()
+        if not first.endswith(b"\n"):  # new, or killed at once
+            self._file.truncate(0)
+            self._file.seek(0)
+            self._file.write(json.dumps(header).encode() + b"\n")
+            return
+        found = self._parsed(first, None)
+        if found.get("kind") != KIND:
+            raise InputError(f"{self.path}: expected the journal of a run, found another file; choose another output")
+        if found != header:
+            raise InputError(
+                f"{self.path}: holds what is finished of another run (other inputs, options or version); go on with "
+                "the same command as before, or remove it to begin anew"
+            )
+        place = len(first)
+        for line in self._file:
+            match = _TASK.match(line)
+            if not line.endswith(b"\n"):
+                break
+            if match is None or int(match[1]) >= self.count:
+                raise InputError(f"{self.path}: not a line of a journal at byte {place}; remove the file to begin anew")
+            if self._places[int(match[1])] < 0:
+                self.finished += 1
+            self._places[int(match[1])] = place
+            place += len(line)
+        self._file.truncate(place)
+
+    def _parsed(self, line: bytes, task: int | None) -> dict[str, Any]:
+        try:
+            value = json.loads(line)
+        except ValueError:
+            value = None
+        if not isinstance(value, dict) or (task is not None and value.get("task") != task):
+            raise InputError(f"{self.path}: not the journal of a run; choose another output, or remove it")
+        return value
+
+
+def journal_of(output: Path) -> Path:
+    """Return the path of the journal of an output file: beside it."""
+    return output.with_name(f"{output.name}.journal")
+
+
+def digest(describe: Mapping[str, Any]) -> str:
+    """Return a short text that tells plain data, arrays included, from others."""
+    text = json.dumps(describe, sort_keys=True, default=lambda value: value.tolist())
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _unnamed() -> BinaryIO:
+    import tempfile
+
+    return tempfile.TemporaryFile()
+
+
+def _locked(path: Path) -> BinaryIO:
+    """Open a file for reading and appending, and lock it against other processes."""
+    while True:
+        try:
+            handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+        file: BinaryIO = os.fdopen(handle, "r+b", buffering=0)  # a line is one write
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            file.close()
+            raise InputError(f"{path}: in use: another run writes the same output") from error
+        try:
+            if os.fstat(handle).st_ino == path.stat().st_ino:
+                return file
+        except FileNotFoundError:
+            pass
+        file.close()  # the run that had it has just finished and removed it

@@ -1,0 +1,306 @@
+"""Tasks on processes of this machine or on a Dask cluster; a worker that is killed costs one task one more try.
+
+A function of a plain value is applied to many. On processes each worker has one task at a time, so that it is known
+which task a dead worker had; it is tried once more on a new worker, then reported as `Lost`. Workers end with the
+process that started them, however that ends.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from optshape_graph.errors import InputError, OptshapeError, missing_extra
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+SCHEDULER_TIMEOUT_S = 10
+"""How long to wait for a Dask scheduler to answer."""
+
+AHEAD = 3
+"""Tasks for each worker of a cluster that are handed out: more would only take memory."""
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Variables that keep linear algebra on one thread: results do not depend on the number of workers."""
+
+
+@dataclass(frozen=True)
+class Lost:
+    """What stands for the result of a task whose worker was killed twice.
+
+    Attributes:
+        reason: in words.
+    """
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class Pool:
+    """What runs the tasks.
+
+    Attributes:
+        workers: processes on this machine; 1: this process itself.
+        dask: address of a Dask scheduler whose workers are used instead.
+        tls: files for TLS with that scheduler: the authority's certificate, the own certificate, the own key.
+
+    Raises:
+        InputError: fewer than one worker.
+    """
+
+    workers: int = 1
+    dask: str | None = None
+    tls: tuple[Path, Path, Path] | None = None
+
+    def __post_init__(self) -> None:
+        if self.workers < 1:
+            raise InputError(f"expected at least one worker, found {self.workers}")
+
+    def run(self, function: Callable[[T], R], tasks: Iterable[tuple[int, T]]) -> Iterator[tuple[int, R | Lost]]:
+        """Apply a function to tasks, and yield number and result of each as it is finished.
+
+        Args:
+            function: importable by name, so that another process finds it.
+            tasks: with their numbers; they are taken a few at a time.
+
+        Raises:
+            InputError: no scheduler answers.
+            MissingExtraError: Dask is asked for, and absent.
+            OptshapeError: workers cannot be started.
+        """
+        if self.dask is not None:
+            return _on_cluster(function, tasks, self.dask, self.tls)
+        if self.workers == 1:
+            return ((number, function(task)) for number, task in tasks)
+        return _on_processes(function, tasks, self.workers)
+
+
+def in_order(results: Iterable[tuple[int, R]], first: int = 0) -> Iterator[R]:
+    """Yield results that come with their numbers, in any order, in the order of the numbers.
+
+    Args:
+        results: numbers `first`, `first` + 1, ... with what belongs to them.
+        first: the lowest number.
+    """
+    waiting: dict[int, R] = {}
+    for number, result in results:
+        waiting[number] = result
+        while first in waiting:
+            yield waiting.pop(first)
+            first += 1
+
+
+class _Queue(Generic[T]):
+    """Tasks that are to be given out: new ones, and those whose worker was killed."""
+
+    def __init__(self, tasks: Iterable[tuple[int, T]]) -> None:
+        self._new, self._again, self._lost = iter(tasks), list[tuple[int, T]](), set[int]()
+
+    def next(self) -> tuple[int, T] | None:
+        return self._again.pop() if self._again else next(self._new, None)
+
+    def is_tried_again(self, number: int, task: T) -> bool:
+        """Put back a task whose worker was killed, unless that happened before."""
+        if number in self._lost:
+            return False
+        self._lost.add(number)
+        self._again.append((number, task))
+        return True
+
+
+class _Worker(Generic[T, R]):
+    """A process that applies the function, and the task that it has; None: it waits for one."""
+
+    def __init__(self, function: Callable[[T], R]) -> None:
+        self.task: tuple[int, T] | None = None
+        self._function = function
+        self._start()
+
+    def give(self, task: tuple[int, T] | None) -> None:
+        self.task = task
+        if task is not None:
+            with suppress(OSError):  # it is dead: found out when its result is waited for
+                self.pipe.send(task[1])
+
+    def reply(self) -> tuple[bool, Any] | None:
+        """Whether the task's function returned, and what it returned or raised; None: the process is dead."""
+        try:
+            said: tuple[bool, Any] = self.pipe.recv()
+        except (EOFError, OSError):
+            return None
+        return said
+
+    def restart(self) -> str:
+        """Start a new process in place of a dead one; return how that ended."""
+        self.end()
+        code = self._process.exitcode
+        self._start()
+        return f"signal {-code}" if code is not None and code < 0 else f"exit status {code}"
+
+    def end(self) -> None:
+        self.pipe.close()
+        self._process.kill()
+        self._process.join()
+
+    def _start(self) -> None:
+        """Spawned, not forked: a fork copies the locks of whatever threads the caller runs."""
+        from multiprocessing import get_context
+
+        context = get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs, self._function), daemon=True)
+        with _one_thread_for_children():
+            self._process.start()
+        theirs.close()
+
+
+def _on_processes(
+    function: Callable[[T], R], tasks: Iterable[tuple[int, T]], workers: int
+) -> Iterator[tuple[int, R | Lost]]:
+    from multiprocessing import connection
+
+    queue = _Queue(tasks)
+    pool: list[_Worker[T, R]] = []
+    died = 0  # workers in a row that ended without a result
+    try:
+        while len(pool) < workers and (entry := queue.next()) is not None:
+            pool.append(_Worker(function))
+            pool[-1].give(entry)
+        while busy := {worker.pipe: worker for worker in pool if worker.task is not None}:
+            for pipe in connection.wait(list(busy)):
+                worker = busy[pipe]  # type: ignore[index]  # it is one of those that were given
+                assert worker.task is not None
+                (number, task), reply = worker.task, worker.reply()
+                if reply is None:
+                    died += 1
+                    how = worker.restart()
+                    if died > 2 * workers + 2:
+                        raise OptshapeError(f"workers end without a result ({how}); --workers 1 does without them")
+                    if not queue.is_tried_again(number, task):
+                        yield number, Lost(f"its worker was killed twice ({how})")
+                    worker.give(queue.next())
+                    continue
+                died = 0
+                worker.give(queue.next())
+                returned, result = reply
+                if not returned:
+                    raise result
+                yield number, result
+    finally:
+        for worker in pool:
+            worker.end()
+
+
+@contextmanager
+def _one_thread_for_children() -> Iterator[None]:
+    """Keep the linear algebra of processes that are started meanwhile on one thread."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
+    """Do tasks until there are no more; end when the process that started this one has ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the parent decides
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    with suppress(EOFError, OSError):
+        while True:
+            task = pipe.recv()
+            try:
+                result = True, function(task)
+            except Exception as error:
+                result = False, _sendable(error)
+            pipe.send(result)
+
+
+def _end_with_parent() -> None:
+    from multiprocessing import connection, parent_process
+
+    parent = parent_process()
+    assert parent is not None
+    connection.wait([parent.sentinel])
+    os._exit(1)
+
+
+def _sendable(error: Exception) -> Exception:
+    """Return an error that survives a pickle."""
+    import pickle
+
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
+
+
+def _on_cluster(
+    function: Callable[[T], R], tasks: Iterable[tuple[int, T]], address: str, tls: tuple[Path, Path, Path] | None
+) -> Iterator[tuple[int, R | Lost]]:
+    try:
+        from distributed import Client, KilledWorker, Security, as_completed
+    except ImportError as cause:
+        raise missing_extra("distributed", "dask", cause) from cause
+    security: dict[str, Any] = {}
+    if tls is not None:
+        authority, certificate, key = map(str, tls)
+        security["security"] = Security(  # type: ignore[no-untyped-call]
+            tls_ca_file=authority, tls_client_cert=certificate, tls_client_key=key, require_encryption=True
+        )
+    try:
+        client = Client(address, timeout=SCHEDULER_TIMEOUT_S, **security)  # type: ignore[no-untyped-call]  # no stubs
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"no Dask scheduler answers at {address} ({error})") from error
+    with client:
+        remaining, numbers = iter(tasks), dict[Any, int]()
+        finished = as_completed(raise_errors=False)  # type: ignore[no-untyped-call]
+
+        def submit() -> None:
+            task = next(remaining, None)
+            if task is not None:
+                future = client.submit(_OneThread(function), task[1], pure=False, retries=1)
+                numbers[future.key] = task[0]
+                finished.add(future)  # type: ignore[no-untyped-call]
+
+        threads = sum(client.nthreads().values()) or 1  # type: ignore[no-untyped-call]
+        for _ in range(AHEAD * threads):
+            submit()
+        for future in finished:
+            number, failure = numbers.pop(future.key), future.exception()
+            submit()
+            if isinstance(failure, KilledWorker):
+                yield number, Lost(f"its worker was killed ({failure})")
+            elif failure is not None:
+                raise failure
+            else:
+                yield number, future.result()
+
+
+class _OneThread(Generic[T, R]):
+    """A function on one thread of linear algebra: the sum of a product depends on how it is split."""
+
+    def __init__(self, function: Callable[[T], R]) -> None:
+        self.function = function
+
+    def __call__(self, task: T) -> R:
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(1):
+            return self.function(task)

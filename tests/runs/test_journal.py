@@ -1,0 +1,77 @@
+"""The journal: what is finished survives whatever ends the process, and nothing else is taken for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from optshape_graph import InputError
+from optshape_graph.runs.journal import Journal
+
+WHAT = {"command": "estimate", "version": 1}
+
+
+def test_lines_come_back_in_the_order_of_the_tasks(tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    with Journal(path, WHAT, 5) as journal:
+        for task in (3, 0, 4):
+            journal.add(task, {"value": task / 7})
+        assert list(journal.todo()) == [1, 2]
+    with Journal(path, WHAT, 5) as journal:
+        assert journal.finished == 3
+        assert [line["task"] for line in journal] == [0, 3, 4]
+        assert journal[3]["value"] == 3 / 7
+        journal.remove()
+    assert not path.exists()
+
+
+def test_half_a_line_is_cut_off_wherever_it_ends(tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    with Journal(path, WHAT, 3) as journal:
+        for task in range(3):
+            journal.add(task, {"text": "x" * task})
+    whole = path.read_bytes()
+    for size in range(len(whole)):
+        path.write_bytes(whole[:size])
+        with Journal(path, WHAT, 3) as journal:
+            for task in journal.todo():
+                journal.add(task, {"text": "x" * task})
+            assert [line["text"] for line in journal] == ["", "x", "xx"]
+        assert path.read_bytes() == whole
+
+
+def test_another_run_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    Journal(path, WHAT, 3).close()
+    for describe, count in ((WHAT | {"version": 2}, 3), (WHAT, 4)):
+        with pytest.raises(InputError, match=r"a\.journal: holds what is finished of another run"):
+            Journal(path, describe, count)
+
+
+@pytest.mark.parametrize("content", [b"hello\n", b'{"a": 1}\n', b"\x00\xff\n", b"[]\n"])
+def test_another_file_is_left_as_it_is(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.journal"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.journal"):
+        Journal(path, WHAT, 3)
+    assert path.read_bytes() == content
+
+
+def test_a_second_run_is_told(tmp_path: Path) -> None:
+    with Journal(tmp_path / "a.journal", WHAT, 3), pytest.raises(InputError, match="in use: another run writes"):
+        Journal(tmp_path / "a.journal", WHAT, 3)
+    Journal(tmp_path / "a.journal", WHAT, 3).close()
+
+
+def test_a_link_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("")
+    (tmp_path / "a.journal").symlink_to(tmp_path / "precious")
+    with pytest.raises(InputError, match="cannot be written"):
+        Journal(tmp_path / "a.journal", WHAT, 3)
+
+
+def test_without_a_path_it_is_forgotten() -> None:
+    with Journal(None, WHAT, 2) as journal:
+        journal.add(1, {"a": 1})
+        assert [line["a"] for line in journal] == [1]
