@@ -23,11 +23,20 @@ FREEDOM = 5.0
 SAMPLES = 1024
 """Poses that are drawn in each round."""
 
-ROUNDS = (2, 5)
+ROUNDS = (3, 5)
 """Rounds at least, and at most while the samples are worth few."""
 
-ENOUGH = 100.0
+ENOUGH = 300.0
 """Effective samples that are worth no further round."""
+
+EVEN = 0.5
+"""Share of the components' weight that is even, so that a mode of little mass is sampled too."""
+
+FEW = 20.0
+"""Effective samples that a component is refitted to at least."""
+
+HEAVY = 0.02
+"""Weight of a single sample that says that no component is where it lies."""
 
 BORN = 4
 """Components that a round adds at most."""
@@ -75,19 +84,39 @@ class Samples(Value):
         return float(self.weight.sum() ** 2 / (self.weight**2).sum())
 
 
-def sample(log_density: LogDensity, components: Components, rng: np.random.Generator) -> Samples:
-    """Draw from the components, weigh by the density, and refit them, until the samples are worth enough."""
+def sample(log_density: LogDensity, components: Components, symmetries: Floats, rng: np.random.Generator) -> Samples:
+    """Draw from the components, weigh by the density, and refit them, until the samples are worth enough.
+
+    The samples of all rounds but the first count.
+
+    Args:
+        log_density: of poses and scalars, the same at T and T S for every symmetry S.
+        components: to begin with.
+        symmetries: (K, 4, 4) S; the identity alone where there is no other.
+        rng: source of randomness.
+    """
+    kept: list[tuple[Floats, Floats, Floats]] = []
     for number in range(ROUNDS[1]):
         T, scalar, roots = _draw(components, rng)
-        logs, charts = _log_components(components, roots, T, scalar)
+        logs, charts = _log_components(components, roots, T, scalar, symmetries)
         log_drawn = logsumexp(logs, axis=0)
         log_weight = log_density(T, scalar) - log_drawn
-        total = float(logsumexp(log_weight))
-        samples = Samples(T, scalar, np.exp(log_weight - total), total - np.log(SAMPLES))
-        if number + 1 >= ROUNDS[0] and samples.effective > ENOUGH:
-            break
-        components = _refitted(components, np.exp(logs - log_drawn) * samples.weight, charts)
+        if number > 0:
+            kept.append((T, scalar, log_weight))
+        if number + 1 >= ROUNDS[0]:
+            samples = _gathered(kept)
+            if samples.effective > ENOUGH:
+                break
+        share = np.exp(logs - log_drawn + log_weight - logsumexp(log_weight))
+        components = _refitted(components, share, charts)
     return samples
+
+
+def _gathered(rounds: list[tuple[Floats, Floats, Floats]]) -> Samples:
+    """Samples of several rounds: poses, scalars and logarithms of weights."""
+    T, scalar, log_weight = (np.concatenate(parts) for parts in zip(*rounds, strict=True))
+    total = float(logsumexp(log_weight))
+    return Samples(T, scalar, np.exp(log_weight - total), total - np.log(len(T)))
 
 
 def _draw(components: Components, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
@@ -100,9 +129,14 @@ def _draw(components: Components, rng: np.random.Generator) -> tuple[Floats, Flo
     return components.T[which] @ transform(rotation(xi[:, :3]), xi[:, 3:6]), xi[:, 6], roots
 
 
-def _log_components(components: Components, roots: Floats, T: Floats, scalar: Floats) -> tuple[Floats, Floats]:
+def _log_components(
+    components: Components, roots: Floats, T: Floats, scalar: Floats, symmetries: Floats
+) -> tuple[Floats, Floats]:
     """Logarithm (C, S) of weight times density of each component, and where it has each sample (C, S, 7)."""
     from_base = inverse(components.T)[:, None] @ T
+    if len(symmetries) > 1:  # the equivalent that is turned least: the trace of a rotation falls as its angle grows
+        nearest = np.einsum("csij,kji->csk", from_base[..., :3, :3], symmetries[:, :3, :3]).argmax(axis=-1)
+        from_base = from_base @ symmetries[nearest]
     turn = rotation_vector(from_base[..., :3, :3])
     charts = np.concatenate([turn, from_base[..., :3, 3], np.broadcast_to(scalar, turn.shape[:2])[..., None]], axis=-1)
     white = np.linalg.solve(roots, np.swapaxes(charts - components.mean[:, None], 1, 2))
@@ -116,22 +150,25 @@ def _log_components(components: Components, roots: Floats, T: Floats, scalar: Fl
 
 
 def _refitted(components: Components, share: Floats, charts: Floats) -> Components:
-    """Move each component to the samples that are its own, (C, S) shares of weights, as far as they are worth it."""
+    """Move each component to the samples that are its own, (C, S) shares of weights.
+
+    A component far from where the density is has one sample or two that weigh all: it follows a power of the weights,
+    such that `FEW` count.
+    """
     mass = share.sum(axis=1)
     mean, covariance = components.mean.copy(), components.covariance.copy()
-    for c in np.flatnonzero(mass > 1e-6):
-        p = share[c] / mass[c]
+    for c in np.flatnonzero(mass > 0):
+        p, effective = _tempered(share[c] / share[c].max())
         new = p @ charts[c]
         off = charts[c] - new
-        effective = 1.0 / (p**2).sum()
-        trust = effective / (effective + 30.0)  # about four samples for each of seven unknowns
-        mean[c] += trust * (new - mean[c])
+        trust = effective / (effective + FEW)
+        mean[c] = new
         covariance[c] = trust * 1.2 * (p[:, None] * off).T @ off + (1 - trust) * covariance[c]
-    weight = 0.9 * mass / mass.sum() + 0.1 / len(mass)
+    weight = (1 - EVEN) * mass / mass.sum() + EVEN / len(mass)
     # A sample that weighs much on its own lies where no component is: it becomes one.
     weighs = share.sum(axis=0)
     heavy = np.argsort(-weighs)[:BORN]
-    heavy = heavy[weighs[heavy] > 2.0 / ENOUGH]
+    heavy = heavy[weighs[heavy] > HEAVY]
     owner, born = share[:, heavy].argmax(axis=0), 0.5 * weighs[heavy]
     return Components(
         np.concatenate([components.T, components.T[owner]]),
@@ -139,3 +176,13 @@ def _refitted(components: Components, share: Floats, charts: Floats) -> Componen
         np.concatenate([covariance, components.covariance[owner] / 4]),
         np.concatenate([weight, born]) / (1.0 + born.sum()),
     )
+
+
+def _tempered(weight: Floats) -> tuple[Floats, float]:
+    """Weights (S,) that sum to 1, a power of those given, and how many samples they are worth."""
+    for power in (1.0, 0.5, 0.25, 0.125):
+        p = weight**power / (weight**power).sum()
+        effective = 1.0 / float((p**2).sum())
+        if effective > FEW:
+            break
+    return p, effective

@@ -20,7 +20,7 @@ from optshape_graph.pose.likelihood import alternative_labels, exit_probability,
 from optshape_graph.pose.mixture import Components, Samples, sample
 from optshape_graph.pose.propagation import Posterior, Problem, concatenate, edge_geometry, propagate
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import adjoint, angle, difference, exp, inverse, rotation, transform
+from optshape_graph.se3 import adjoint, angle, apply, difference, exp, inverse, rotation, transform
 from optshape_graph.target import Target
 
 ALTERNATIVES = 6
@@ -32,7 +32,7 @@ SURE = (6, 15.0)
 COMPETING = 50.0
 """Difference of log likelihoods by association from which on a mode is not in the running."""
 
-MOST_MODES = 16
+MOST_MODES = 12
 """Components about which poses are drawn at first."""
 
 APART = (np.radians(3.0), 0.03)
@@ -43,6 +43,9 @@ MODE = (np.radians(25.0), 0.35)
 
 WIDENING = 1.3
 """Of the posteriors' standard deviations, where poses are drawn."""
+
+BROAD = (0.25, 0.05)
+"""Standard deviations, rad and target radii, that broader components add to turns and shifts in the plane."""
 
 TRUSTED = 50.0
 """Effective samples below which samples settle nothing."""
@@ -170,7 +173,8 @@ def compare_modes(candidates: Posterior, problem: Problem, scan: Scan, ends: Edg
         return by_association
     chosen = candidates.select(np.array(_apart(candidates, problem.target)))
     density = scan_log_likelihood(problem, scan, ends)
-    samples = sample(density, _components(chosen), np.random.default_rng(0))
+    components = _components(chosen, scan.points.mean(axis=0), problem.target.circumradius)
+    samples = sample(density, components, problem.target.symmetry_transforms, np.random.default_rng(0))
     poses = inverse(chosen.T_target_lidar)
     mass = np.array([samples.weight[same_mode(samples.T, T, problem.target)].sum() for T in poses])
     first = poses[mass.argmax()]
@@ -223,20 +227,35 @@ def _apart(candidates: Posterior, target: Target) -> list[int]:
     return chosen
 
 
-def _components(posterior: Posterior) -> Components:
-    """Components about posteriors, in poses T_lidar_target; half of their weight is even, half by likelihood."""
+def _components(posterior: Posterior, centre: Floats, size: float) -> Components:
+    """Components to draw poses T_lidar_target from: about posteriors, and broader ones about the same.
+
+    With two or three rings a target can often be turned about the middle of its returns, or shifted, much further than
+    a posterior that is linear in the pose allows.
+
+    Args:
+        posterior: of C poses.
+        centre: (3,) of the returns, LiDAR frame, metres.
+        size: radius of the target, metres.
+    """
     # (T Exp(xi))^-1 = T^-1 Exp(-Ad(T) xi)
     J = np.zeros((len(posterior.offset), 7, 7))
     J[:, :6, :6], J[:, 6, 6] = -adjoint(posterior.T_target_lidar), 1.0
-    score = posterior.log_likelihood
-    likely = np.exp((score - score.max()) / 4)
-    mean = np.zeros((len(score), 7))
+    narrow = WIDENING**2 * J @ posterior.joint @ np.swapaxes(J, 1, 2)
+    middle = apply(posterior.T_target_lidar, centre[None])[:, 0]
+    turning = np.zeros((len(J), 7))
+    turning[:, 0], turning[:, 3:6] = 1.0, np.cross(middle, [1.0, 0.0, 0.0])
+    broad = narrow + BROAD[0] ** 2 * turning[:, :, None] * turning[:, None]
+    broad[:, [4, 5], [4, 5]] += (BROAD[1] * size) ** 2
+    likely = np.exp((posterior.log_likelihood - posterior.log_likelihood.max()) / 4)
+    weight = 0.5 * likely / likely.sum() + 0.5 / len(likely)
+    mean = np.zeros((len(J), 7))
     mean[:, 6] = posterior.offset
     return Components(
-        inverse(posterior.T_target_lidar),
-        mean,
-        WIDENING**2 * J @ posterior.joint @ np.swapaxes(J, 1, 2),
-        0.5 * likely / likely.sum() + 0.5 / len(score),
+        np.tile(inverse(posterior.T_target_lidar), (2, 1, 1)),
+        np.tile(mean, (2, 1)),
+        np.concatenate([narrow, broad]),
+        np.concatenate([0.75 * weight, 0.25 * weight]),
     )
 
 

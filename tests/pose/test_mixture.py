@@ -8,6 +8,7 @@ from optshape_graph.pose.mixture import Components, sample
 from optshape_graph.se3 import difference, exp, inverse
 from optshape_graph.simulation import pose_from_rpy
 
+ALONE = np.eye(4)[None]
 SD = np.array([0.05, 0.01, 0.02, 0.01, 0.03, 0.002])
 
 
@@ -39,7 +40,7 @@ def test_of_a_gaussian(off: float) -> None:
     mixing = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))[0]
     covariance = (mixing * SD**2) @ mixing.T * 0.1 + np.diag(SD**2)
     start = components([truth @ exp(off * SD)], 4 * covariance)
-    samples = sample(gaussian(truth, covariance), start, np.random.default_rng(0))
+    samples = sample(gaussian(truth, covariance), start, ALONE, np.random.default_rng(0))
     assert samples.log_integral == pytest.approx(log_volume(covariance), abs=0.15)
     assert samples.effective > 100
     xi = difference(truth, samples.T)
@@ -47,7 +48,7 @@ def test_of_a_gaussian(off: float) -> None:
     assert np.abs(mean / np.sqrt(np.diag(covariance))).max() < 0.3
     spread = np.sqrt(samples.weight @ (xi - mean) ** 2)
     np.testing.assert_allclose(spread, np.sqrt(np.diag(covariance)), rtol=0.2)
-    again = sample(gaussian(truth, covariance), start, np.random.default_rng(0))
+    again = sample(gaussian(truth, covariance), start, ALONE, np.random.default_rng(0))
     assert again.log_integral == samples.log_integral
 
 
@@ -59,6 +60,7 @@ def test_masses_of_two_modes() -> None:
     samples = sample(
         lambda T, o: np.logaddexp(np.log(0.9) + one(T, o), np.log(0.1) + two(T, o)),
         components([first, second], 2 * np.diag(SD**2)),
+        ALONE,
         np.random.default_rng(1),
     )
     turned = np.array([np.linalg.norm(gtsam.Rot3.Logmap(gtsam.Rot3((inverse(first) @ T)[:3, :3]))) for T in samples.T])
@@ -70,6 +72,6 @@ def test_what_no_component_covers_becomes_one() -> None:
     """A density half as wide as the component, four of its standard deviations away: found, to 0.3 in the logarithm."""
     truth = pose_from_rpy([9.0, 1.0, 0.5], [0.4, -0.3, 2.0])
     start = components([truth @ exp(np.array([0.0, 0.0, 0.0, 0.0, 4 * SD[4], 0.0]))], np.diag(SD**2))
-    samples = sample(gaussian(truth, np.diag(SD**2) / 4), start, np.random.default_rng(0))
+    samples = sample(gaussian(truth, np.diag(SD**2) / 4), start, ALONE, np.random.default_rng(0))
     assert samples.effective > 50
     assert samples.log_integral == pytest.approx(log_volume(np.diag(SD**2) / 4), abs=0.3)
