@@ -48,8 +48,7 @@ def estimate_row(scan: Scan, target: Target, T_true: np.ndarray) -> Row:
 def nearest_error(target: Target, T_estimate: np.ndarray, T_true: np.ndarray) -> np.ndarray:
     """(6,) right perturbation of the estimate that leads to the nearest of the true pose's equivalents."""
     errors = []
-    for S in target.symmetry_rotations:
-        T = T_true.copy()
-        T[:3, :3] = T_true[:3, :3] @ S
-        errors.append(gtsam.Pose3.Logmap(gtsam.Pose3(np.linalg.inv(T_estimate) @ T)))
+    for angle in target.symmetries:
+        turn = gtsam.Pose3(gtsam.Rot3.Rx(angle), np.zeros(3)).matrix()
+        errors.append(gtsam.Pose3.Logmap(gtsam.Pose3(np.linalg.inv(T_estimate) @ T_true @ turn)))
     return np.array(min(errors, key=lambda xi: float(np.linalg.norm(xi[:3]))))
