@@ -8,7 +8,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
-from optshape_graph.pose.certificate import Backend, certify
+from optshape_graph.pose.certificate import Backend, certify, why_not_certified
 from optshape_graph.pose.containment import find_by_containment
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.paper import find_as_paper
@@ -73,6 +73,9 @@ def conclude(found: Finding, backend: Backend, options: PoseOptions) -> PoseEsti
     covariance = inverse_covariance(T_target_lidar, np.linalg.inv(information))
     unobservable = unobservable_directions(covariance, found.target.circumradius, options.unobservable_sd)
     status, reason = _verdict(found, covariance, unobservable, options)
+    certificate = certify(measurement, T_target_lidar, found.total_weight, backend, options.certified_gap)
+    if status == "ok" and not certificate.certified:
+        reason = why_not_certified(measurement)
     off_plane = found.returns.points @ T_target_lidar[0, :3] + T_target_lidar[0, 3]
     return PoseEstimate(
         target=found.target,
@@ -82,7 +85,7 @@ def conclude(found: Finding, backend: Backend, options: PoseOptions) -> PoseEsti
         reason=reason,
         measurement=measurement,
         shared=found.shared,
-        certificate=certify(measurement, T_target_lidar, found.total_weight, backend, options.certified_gap),
+        certificate=certificate,
         ambiguity=found.ambiguity,
         log_likelihood=found.log_likelihood,
         edge_points=found.edge_points,

@@ -79,7 +79,7 @@ class PoseEstimate(Result):
         T_lidar_target: (4, 4).
         covariance: (6, 6) of the right perturbation of T_lidar_target: rotation first, in the target's frame.
         status: "ok"; "ambiguous" where a different pose is not ruled out; "failed" where it is not to be used.
-        reason: why not "ok", else empty.
+        reason: why not "ok"; of an estimate that is, why its certificate is not one, else empty.
         measurement: all whitened residuals, compressed: what factors are made of.
         shared: the same before the errors that scans of one static scene share (ring biases, edge offset) are
             marginalised, for `fuse_static`; each in units of its standard deviation. None for `method="paper"`.
