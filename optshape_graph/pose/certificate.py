@@ -264,12 +264,11 @@ def certify(
 def why_not_certified(measurement: TemplateMeasurement) -> str:
     """Say in words what keeps a minimum, where the measurement was taken, from being certified as the only one.
 
-    The relaxation does not know on which side of the target the sensor is. So it is stopped by a pose from behind, which
-    is none, as by any other.
+    The relaxation does not know on which side of the target the sensor is: a pose from behind stops it like any other.
     """
     T, cost = measurement.T_target_lidar, 2.0 * measurement.error(measurement.T_target_lidar)
     for axis in np.eye(3)[1:]:
         behind = refine(measurement.at(transform(rotation(np.pi * axis)) @ T))
         if behind[0, 3] > 0 and 2.0 * measurement.error(behind) < cost + BEHIND:
-            return "not certified: the pose as seen from behind the target, which is impossible, fits these matches as well"
+            return "not certified: a pose seen from behind the target, which is impossible, fits these matches as well"
     return "not certified: the bound on other poses of these matches is not tight"

@@ -15,7 +15,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.gaussian import logsumexp
-from optshape_graph.se3 import inverse, rotation, rotation_vector, transform
+from optshape_graph.se3 import inverse, rotation, transform, turns_between
 
 FREEDOM = 5.0
 """Degrees of freedom of the components: their tails are heavy."""
@@ -26,7 +26,7 @@ SAMPLES = 1024
 ROUNDS = (3, 5)
 """Rounds at least, and at most while the samples are worth few."""
 
-ENOUGH = 300.0
+ENOUGH = 200.0
 """Effective samples that are worth no further round."""
 
 EVEN = 0.5
@@ -133,14 +133,12 @@ def _log_components(
     components: Components, roots: Floats, T: Floats, scalar: Floats, symmetries: Floats
 ) -> tuple[Floats, Floats]:
     """Logarithm (C, S) of weight times density of each component, and where it has each sample (C, S, 7)."""
-    from_base = inverse(components.T)[:, None] @ T
-    if len(symmetries) > 1:  # the equivalent that is turned least: the trace of a rotation falls as its angle grows
-        nearest = np.einsum("csij,kji->csk", from_base[..., :3, :3], symmetries[:, :3, :3]).argmax(axis=-1)
-        from_base = from_base @ symmetries[nearest]
-    turn = rotation_vector(from_base[..., :3, :3])
-    charts = np.concatenate([turn, from_base[..., :3, 3], np.broadcast_to(scalar, turn.shape[:2])[..., None]], axis=-1)
-    white = np.linalg.solve(roots, np.swapaxes(charts - components.mean[:, None], 1, 2))
-    squared = (white**2).sum(axis=1)
+    base = inverse(components.T)
+    turn = turns_between(components.T, T[:, None] @ symmetries)
+    moved = T[:, :3, 3] @ np.swapaxes(base[:, :3, :3], 1, 2) + base[:, None, :3, 3]
+    charts = np.concatenate([turn, moved, np.broadcast_to(scalar, turn.shape[:2])[..., None]], axis=-1)
+    white = (charts - components.mean[:, None]) @ np.swapaxes(np.linalg.inv(roots), 1, 2)
+    squared = (white**2).sum(axis=-1)
     # How much volume of rotations a volume of rotation vectors covers there: (2 sin(x / 2) / x)^2.
     volume = 2 * np.log(np.sinc(np.linalg.norm(turn, axis=-1) / (2 * np.pi)))
     constant = lgamma((FREEDOM + 7) / 2) - lgamma(FREEDOM / 2) - 3.5 * np.log(FREEDOM * np.pi)

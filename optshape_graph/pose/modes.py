@@ -20,7 +20,7 @@ from optshape_graph.pose.likelihood import alternative_labels, exit_probability,
 from optshape_graph.pose.mixture import Components, Samples, sample
 from optshape_graph.pose.propagation import Posterior, Problem, concatenate, edge_geometry, propagate
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import adjoint, angle, apply, difference, exp, inverse, rotation, transform
+from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, rotation, transform
 from optshape_graph.target import Target
 
 ALTERNATIVES = 6
@@ -40,6 +40,9 @@ APART = (np.radians(3.0), 0.03)
 
 MODE = (np.radians(25.0), 0.35)
 """Angle, rad, and distance, target radii, from a mode's pose within which poses belong to it: both."""
+
+ITSELF = np.eye(4)[None]
+"""The symmetry that every target has."""
 
 WIDENING = 1.3
 """Of the posteriors' standard deviations, where poses are drawn."""
@@ -186,7 +189,7 @@ def compare_modes(candidates: Posterior, problem: Problem, scan: Scan, ends: Edg
         margin = min(margin, float(np.log(samples.effective)))
     others = ~same_mode(poses, first, problem.target)
     rival = poses[np.where(others, mass, -1.0).argmax()] if others.any() else None
-    best = _within(inverse(candidates.T_target_lidar), first, MODE, problem.target)
+    best = _within(inverse(candidates.T_target_lidar), first, MODE, ITSELF, problem.target.circumradius)
     order = np.argsort(~best, kind="stable")
     inside = Samples(samples.T[of_first], samples.scalar[of_first], samples.weight[of_first], samples.log_integral)
     sampled = _moments(inside, first, problem.target) if inside.effective > TRUSTED else None
@@ -196,7 +199,7 @@ def compare_modes(candidates: Posterior, problem: Problem, scan: Scan, ends: Edg
 def _compare(candidates: Posterior, target: Target) -> Modes:
     """Take the likelihoods of the associations for what they are; the rival is the best outside the best's mode."""
     poses, score = inverse(candidates.T_target_lidar), candidates.log_likelihood
-    best, others = _within(poses, poses[0], MODE, target), ~same_mode(poses, poses[0], target)
+    best, others = _within(poses, poses[0], MODE, ITSELF, target.circumradius), ~same_mode(poses, poses[0], target)
     order = np.argsort(~best, kind="stable")
     gathered = Modes(candidates.select(order), best[order])
     if not others.any():
@@ -207,12 +210,16 @@ def _compare(candidates: Posterior, target: Target) -> Modes:
 
 def same_mode(T: Floats, first: Floats, target: Target) -> Bools:
     """(S,) whether poses T_lidar_target (S, 4, 4) belong to the mode of a first (4, 4), or of its equivalents."""
-    return _within(target.nearest_equivalent(T, first), first, MODE, target)
+    return _within(T, first, MODE, target.symmetry_transforms, target.circumradius)
 
 
-def _within(T: Floats, first: Floats, limits: tuple[float, float], target: Target) -> Bools:
-    turned, moved = angle(inverse(first) @ T), np.linalg.norm(T[:, :3, 3] - first[:3, 3], axis=1)
-    return np.asarray((turned < limits[0]) & (moved < limits[1] * target.circumradius))
+def _within(T: Floats, first: Floats, limits: tuple[float, float], symmetries: Floats, size: float) -> Bools:
+    """(S,) whether poses, or their equivalents, are turned and moved by less than limits, rad and sizes."""
+    turned = first[:3, :3].T @ T[:, :3, :3]
+    # The trace of a rotation by x is 1 + 2 cos x.
+    trace = np.einsum("sij,kji->sk", turned, symmetries[:, :3, :3]).max(axis=1)
+    moved = np.linalg.norm(T[:, :3, 3] - first[:3, 3], axis=1)
+    return np.asarray((trace > 1.0 + 2.0 * np.cos(limits[0])) & (moved < limits[1] * size))
 
 
 def _apart(candidates: Posterior, target: Target) -> list[int]:
@@ -222,7 +229,7 @@ def _apart(candidates: Posterior, target: Target) -> list[int]:
     for k in np.argsort(-score, kind="stable"):
         if len(chosen) == MOST_MODES or score[k] < score.max() - COMPETING:
             break
-        if not chosen or not any(_within(poses[chosen], poses[k], APART, target)):
+        if not chosen or not any(_within(poses[chosen], poses[k], APART, ITSELF, target.circumradius)):
             chosen.append(int(k))
     return chosen
 
