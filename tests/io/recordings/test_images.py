@@ -179,5 +179,7 @@ def test_a_session_without_a_usable_image_says_why(tmp_path):
     recording = Recording(write_bag(tmp_path, "mcap", items))
     camera = CameraIntrinsics("c", "pinhole", 64, 48, np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]))
     with pytest.raises(InputError, match=r"/image: no usable image: 1 x image encoding that is not read \('32FC1'"):
-        extract_session(recording, tmp_path / "s", sensor=SensorModel(np.radians([-6.0, -2, 2, 6])), targets=[load_target("paper")],
-                        camera=camera)  # fmt: skip
+        extract_session(
+            recording, tmp_path / "s", sensor=SensorModel(np.radians([-6.0, -2, 2, 6])),
+            targets=[load_target("paper")], camera=camera,
+        )  # fmt: skip
