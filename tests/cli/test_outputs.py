@@ -82,8 +82,8 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     (folder / "camera").mkdir()
     session = write_session(folder / "camera")
     (session / "3.png").write_bytes(b"broken")
-    for session in ("one", "two"):
-        a_map("abc", session=session).save(folder / f"{session}.json")
+    for name in ("one", "two"):
+        a_map("abc", session=name).save(folder / f"{name}.json")
     return {
         "one": folder / "one.json", "two": folder / "two.json",
         "demo": DEMO, "session": folder / "demo" / "session.yaml", "camera": session / "session.yaml",
