@@ -9,7 +9,7 @@ from pathlib import Path
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
-from optshape_graph.io.recordings import Recording, Skipped, Stamped
+from optshape_graph.io.recordings import Recording, Skipped, Stamped, Stream
 from optshape_graph.io.recordings.topics import Mounting
 from optshape_graph.io.sessions import Session, load_session
 from optshape_graph.io.trajectories import Trajectory, is_trajectory, read_trajectory
@@ -164,6 +164,8 @@ def map_recording(
     )
     build_map(slam, seen, noise or MotionNoise(), progress, report)
     slam.settle()
+    if isinstance(source.poses, Stream) and source.poses.skipped:
+        source.warnings.append(f"odometry: messages passed over: {source.poses.skipped}")
     result, solution = slam.map(), None
     if batch and lag is None and result.landmarks:
         solution = solve_batch(slam.problem(), as_built_sigma=as_built_sigma)

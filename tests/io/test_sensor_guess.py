@@ -1,4 +1,4 @@
-"""The sensor that a cloud's elevations tell: every built-in one, recorded ones, and where several come into question."""
+"""The sensor that a cloud's elevations tell: every built-in one, recorded ones, and where several may be."""
 
 from __future__ import annotations
 
