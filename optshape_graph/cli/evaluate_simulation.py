@@ -13,7 +13,7 @@ from optshape_graph.cli.options import ANGLE, DISTANCE, FOLDER, Number, force_op
 
 if TYPE_CHECKING:
     from optshape_graph.evaluation.harness import Row
-    from optshape_graph.evaluation.simulation import Removal
+    from optshape_graph.evaluation.simulation import Removal, SimulationSweep
     from optshape_graph.runs.workers import Pool
 
 TABLES = ("scans.csv", "scans.parquet", "cells.csv", "groups.csv", "consistency.csv", "table1.csv", "errors.png")
@@ -79,35 +79,16 @@ def command(
 
     Example: optshape evaluate simulation --seeds 20 --workers 4 -o sweep
     """
-    from optshape_graph.cli.console import progress_bar
     from optshape_graph.cli.outputs import Outputs
-    from optshape_graph.evaluation import (
-        SimulationSweep,
-        beside_published,
-        by_group,
-        consistency,
-        run_simulation,
-        summarise,
-        write_csv,
-        write_parquet,
-    )
+    from optshape_graph.evaluation import SimulationSweep
     from optshape_graph.evaluation.tables import check_parquet
     from optshape_graph.io import load_sensor, load_target
-    from optshape_graph.viz.evaluation import plot_sweep
-    from optshape_graph.viz.style import new_figure, save_figure
+    from optshape_graph.runs.interruption import going_on
+    from optshape_graph.viz.style import new_figure
 
     outputs = Outputs([target_name, sensor_name], force=force)
-    outputs.folder("--output", output)
-    for name in (
-        "scans.csv",
-        "scans.parquet",
-        "cells.csv",
-        "groups.csv",
-        "consistency.csv",
-        "table1.csv",
-        "errors.png",
-    ):
-        outputs.file("--output", output / name, replace=(output / "tasks" / "sweep.json").exists())
+    older = (output / "tasks" / "sweep.json").exists()  # then its tables are replaced
+    outputs.folder("--output", output, () if older else TABLES, replace=False)
     check_parquet()
     new_figure()  # whether there is matplotlib: better known before the sweep than after it
     sweep = SimulationSweep(
@@ -124,6 +105,25 @@ def command(
         removal=cast("Removal", removal),
         seed=seed,
     )
+    with going_on(lambda: f"finished tasks are kept in {output}; the same command goes on there"):
+        _run(sweep, pool, output)
+
+
+def _run(sweep: SimulationSweep, pool: Pool | None, output: Path) -> None:
+    """Run the sweep, and write its tables and charts."""
+    from optshape_graph.cli.console import progress_bar
+    from optshape_graph.evaluation import (
+        beside_published,
+        by_group,
+        consistency,
+        run_simulation,
+        summarise,
+        write_csv,
+        write_parquet,
+    )
+    from optshape_graph.viz.evaluation import plot_sweep
+    from optshape_graph.viz.style import save_figure
+
     with progress_bar("simulating and estimating") as progress:
         rows = run_simulation(sweep, output / "tasks", pool=pool, progress=progress)
 

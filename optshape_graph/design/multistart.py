@@ -95,7 +95,7 @@ def search(
     todo = ((i, i) for i in range(starts) if i not in done)
     held = nullcontext() if folder is None else locked(folder)
     advice = "no start is kept" if folder is None else f"finished starts are kept in {folder}; the same command goes on"
-    with held, going_on(advice):
+    with held, going_on(lambda: advice):
         for index, start in (pool or Pool()).run(partial(_solve_start, problem, seed), todo):
             if isinstance(start, Lost):
                 raise EstimationError(f"start {index}: {start.reason}")

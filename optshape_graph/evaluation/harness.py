@@ -59,7 +59,7 @@ def run_tasks(
     if progress is not None:
         progress(finished, len(tasks))
     lost: dict[int, str] = {}
-    with locked(folder), going_on(f"finished tasks are kept in {folder}; the same command goes on there"):
+    with locked(folder), going_on(lambda: f"finished tasks are kept in {folder}; the same command goes on there"):
         for number, rows in (pool or Pool()).run(OneThread(function), ((n, tasks[n]) for n in todo)):
             if isinstance(rows, Lost):
                 lost[number] = rows.reason

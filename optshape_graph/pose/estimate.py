@@ -85,7 +85,7 @@ def conclude(found: Finding, duplicates: int, backend: Backend, options: PoseOpt
         reason=reason,
         measurement=measurement,
         shared=found.shared,
-        certificate=certify(measurement, T_target_lidar, found.total_weight, backend, options.certified_gap),
+        certificate=certify(found.exact, T_target_lidar, found.total_weight, backend, options.certified_gap),
         ambiguity=found.ambiguity,
         log_likelihood=found.log_likelihood,
         edge_points=found.edge_points,

@@ -9,7 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.edges import upward
-from optshape_graph.factors.measurement import template_rows
+from optshape_graph.factors.measurement import TemplateMeasurement, template_rows
 from optshape_graph.factors.static import ELEVATION, RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.scan import Scan
@@ -190,3 +190,11 @@ def plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
     mean[:, 9:] = 0.0
     r = r - A @ np.linalg.lstsq(A.T @ A, (mean / returns.sigma[:, None] ** 2).sum(axis=0), rcond=1e-12)[0]
     return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4), returns.errors)
+
+
+def one_scan(shared: BiasedMeasurement) -> TemplateMeasurement:
+    """Return the measurement of one scan alone: the elevations of its rings count as exact.
+
+    What an error of theirs does to one scan is within what its ring ends scatter; of many it would be the mean's error.
+    """
+    return shared.marginal([float(error.kind != ELEVATION) for error in shared.shared])

@@ -44,6 +44,7 @@ class Finding(Value):
         target: the template.
         returns: on the target, angles put right.
         measurement: all whitened residuals, compressed, taken at the pose that was found.
+        exact: the same for a target without a surface of its own, which has its minimum there too: what is certified.
         shared: the same before the errors that scans of one static scene share are marginalised, or None.
         total_weight: sum over the residuals of 1 / sigma^2, 1/m2.
         ambiguity: margin to the best different pose.
@@ -60,6 +61,7 @@ class Finding(Value):
     target: Target
     returns: Scan
     measurement: TemplateMeasurement
+    exact: TemplateMeasurement
     shared: BiasedMeasurement | None
     total_weight: float
     ambiguity: Ambiguity

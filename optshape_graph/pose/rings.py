@@ -14,7 +14,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.edges import UP, EdgePoints, extract_edge_points, upward, with_top_and_bottom
-from optshape_graph.factors.measurement import TemplateMeasurement, refine, template_rows
+from optshape_graph.factors.measurement import refine, template_rows
 from optshape_graph.factors.static import (
     EDGE_OFFSET,
     ELEVATION,
@@ -27,7 +27,7 @@ from optshape_graph.pose.association import enumerate_poses, fit_plane
 from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
 from optshape_graph.pose.fit import Evidence
 from optshape_graph.pose.modes import Modes, compare_modes, rank
-from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
+from optshape_graph.pose.noise import EdgeNoise, one_scan, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.outline import Ends, fit_ends, strain_columns, tilt_of_rings
 from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry
@@ -66,10 +66,12 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
 
     # The best mode in one measurement, at its minimum.
     best, n = modes.candidates.select(slice(0, 1)), len(edges)
-    ends = fit_ends(replace(problem, edges=edges), best.T_target_lidar[0], best.geometry.labels[0, :n])
+    of_ends = replace(problem, edges=edges)
+    ends = fit_ends(of_ends, best.T_target_lidar[0], best.geometry.labels[0, :n])
     on_edges, edge_weight = _edge_measurement(problem, modes, ends, elevation_error)
     shared = on_edges + on_plane
-    T_target_lidar = refine(one_scan(shared))
+    exact = one_scan(shared)
+    T_target_lidar = refine(exact)
     shared = _widened(displaced(shared, shape, off_plane, target, T_target_lidar), T_target_lidar, modes)
     measurement = one_scan(shared).at(T_target_lidar)
 
@@ -79,6 +81,7 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         target=target,
         returns=scan,
         measurement=measurement,
+        exact=exact,
         shared=shared,
         total_weight=edge_weight + float((1 / returns.sigma**2).sum()),
         ambiguity=Ambiguity(modes.margin, modes.rival),
@@ -88,17 +91,9 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         inset=best.inset[0, :n],
         edge_sigma=best.sigma[0, :n],
         edge_residuals=(final.residual[0] + best.inset[0] * final.along[0])[:n],
-        evidence=Evidence(scan, target, off_plane, shape, edges, ends, problem.noise, tilt),
+        evidence=Evidence(scan, of_ends, off_plane, shape, ends, angular_noise, tilt),
         objection=_objection(problem, final, float(best.offset[0]), options.min_explained),
     )
-
-
-def one_scan(shared: BiasedMeasurement) -> TemplateMeasurement:
-    """Return the measurement of one scan alone: the elevations of its rings count as exact.
-
-    What an error of theirs does to one scan is within what its ring ends scatter; of many it would be the mean's error.
-    """
-    return shared.marginal([float(error.kind != ELEVATION) for error in shared.shared])
 
 
 def _bounded(edges: EdgePoints, scan: Scan) -> EdgePoints:

@@ -97,7 +97,7 @@ def scene(content: str, *parts: str) -> tuple[str, Files, tuple[str, ...]]:
 ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     # clouds
     "no such cloud": (ESTIMATE.format("b.pcd"), {}, ("b.pcd: no such file",)),
-    "a folder as cloud": (ESTIMATE.format("."), {}, (".: no clouds in the folder (.pcd, .ply, .npz)",)),
+    "a folder as cloud": (ESTIMATE.format("."), {}, (".: no clouds in the folder (.pcd, .ply, .npz, ",)),
     "unknown ending": cloud("a.xls", "1 2 3", ": expected a cloud ending in .pcd, .ply, .npz, .npy, .csv, ", "found '.xls'"),
     "empty PCD": cloud("a.pcd", "", "its header has no line 'DATA ...'"),
     "text as PCD": cloud("a.pcd", "hello there\n", "expected one of the keywords VERSION", "found 'hello'"),
@@ -196,7 +196,7 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     "an image of too many pixels": camera(("", ""), "a.png: 60000 x 60000 pixels; expected at most 268435456", a_png=big_png()),
     # recordings
     "no such recording": ("extract x.bag --list", {}, ("x.bag: no such file or folder",)),
-    "a recording that is none": ("extract x.txt --list", {"x.txt": "x"}, ("x.txt: expected a .bag, .mcap or .db3 file",)),
+    "a recording that is none": ("extract x.txt --list", {"x.txt": "x"}, ("x.txt: expected a .bag, .mcap, .db3 or .pcap file",)),
     "text as bag": ("extract x.bag --list", {"x.bag": "hello"}, ("x.bag: not a readable bag", "rosbag reindex")),
     "text as mcap": ("extract x.mcap --list", {"x.mcap": "hello"}, ("x.mcap: not a readable bag",)),
     "text as db3": ("extract x.db3 --list", {"x.db3": "hello"}, ("x.db3: not a readable bag",)),

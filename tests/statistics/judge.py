@@ -19,7 +19,11 @@ Row = dict[str, Any]
 def estimate_row(scan: Scan, target: Target, T_true: np.ndarray) -> Row:
     """Return the columns of one scan; those of the pose are absent where there is none."""
     assert scan.ring is not None
-    row: Row = {"rings": len(np.unique(scan.ring)), "returns": len(scan), "range_m": float(np.linalg.norm(T_true[:3, 3]))}
+    row: Row = {
+        "rings": len(np.unique(scan.ring)),
+        "returns": len(scan),
+        "range_m": float(np.linalg.norm(T_true[:3, 3])),
+    }
     start = time.process_time()
     try:
         estimate = estimate_pose(scan, target)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from optshape_graph import Scan, SensorModel, Target
-from optshape_graph.factors.se3 import inverse
+from optshape_graph.se3 import inverse
 from optshape_graph.simulation import (
     ConstantTwist,
     NoiseModel,
