@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from optshape_graph.names import shown
+
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
@@ -30,15 +32,16 @@ def command(files: tuple[Path, ...], columns: str | None, json_path: Path | None
         except OptshapeError as error:
             problems.append(error)
             found.append({"file": str(file), "form": None, "problem": str(error)})
-            click.echo(f"optshape: {error}", err=True)
             continue
         found.append({"file": str(file), **facts})
-        click.echo(click.style(str(file), bold=True))
+        click.echo(click.style(shown(str(file)), bold=True))
         _print(facts, 2)
     if json_path:
         write_json(json_path, {"schema": "optshape/info/1", "files": found})
     if len(problems) == len(files):
         raise problems[0]
+    for problem in problems:
+        click.echo(f"optshape: {shown(str(problem))}", err=True)
     return 3 if problems else 0
 
 
@@ -46,7 +49,7 @@ def _print(facts: dict[str, Any], indent: int) -> None:
     width = max((len(name) for name in facts), default=0)
     for name, value in facts.items():
         if isinstance(value, dict):
-            click.echo(" " * indent + name)
+            click.echo(" " * indent + shown(name))
             _print(value, indent + 2)
         else:
-            click.echo(" " * indent + f"{name:<{min(width, 24)}}  {value}")
+            click.echo(" " * indent + shown(f"{name:<{min(width, 24)}}  {value}"))
