@@ -7,6 +7,10 @@
 # make docs           the documentation, as a site in build/site
 # make release-check  wheel and sdist, the wheel tried in a fresh environment of every Python in PYTHONS
 #
+# make lock           write down the versions that the tests run with: .ci/constraints.txt, docs/licences.md
+# make latest         the tests with the newest versions there are, upper bounds left out: to be run now and then
+# make sbom           what is in the environment, as CycloneDX: build/sbom.json
+#
 # All set up what they need on a bare Debian or Ubuntu with Python 3.11 or newer, as root or with sudo (.ci/setup). To
 # choose: PYTHON=python3.13 VENV=/some/folder JOBS=4
 
@@ -24,7 +28,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Folders of tests that need no simulation and no process of their own.
 QUICK := $(wildcard tests/test_*.py) $(addprefix tests/,factors graph io pose design runs docs/test_docstrings.py cli/test_lazy.py)
 
-.PHONY: demo check test faults bench coverage docs release-check
+.PHONY: demo check test faults bench coverage docs release-check lock latest sbom
 
 demo: setup-plot
 	$(BIN)/optshape demo
@@ -61,6 +65,21 @@ release-check: setup-test
 	  build/fresh/bin/python -m pip install --quiet build/dist/*.whl; \
 	  (cd build/fresh && bin/python "$(CURDIR)/tests/release/smoke.py"); \
 	done
+
+lock: setup-test
+	$(BIN)/python .ci/lock $(BIN)/python
+
+latest:
+	rm -rf build/latest
+	$(or $(PYTHON),python3) -m venv build/latest
+	build/latest/bin/python .ci/latest > build/latest/wanted.txt
+	build/latest/bin/python -m pip install --quiet --upgrade pip -r build/latest/wanted.txt
+	build/latest/bin/python -m pip install --quiet --no-deps --editable .
+	build/latest/bin/python -m pytest -n $(JOBS) -m "not benchmark"
+
+sbom: setup-test setup-supply
+	mkdir -p build
+	$(BIN)/cyclonedx-py environment --output-reproducible --of JSON -o build/sbom.json $(BIN)/python
 
 setup-%:
 	@.ci/setup $(VENV) $* $(PYTHON)

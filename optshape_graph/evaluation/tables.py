@@ -128,7 +128,9 @@ def by_group(rows: Iterable[Row], by: Sequence[str], reduce: Callable[[list[Row]
 
 def _summary(group: list[Row]) -> Row:
     status = [row["status"] for row in group]
-    summary: Row = {"scans": len(group)} | {name: status.count(name) for name in ("ok", "ambiguous", "failed")}
+    summary: Row = {"scans": len(group)} | {
+        name: status.count(name) for name in ("ok", "doubtful", "ambiguous", "failed")
+    }
     for name in ("distance_m", "n_points", "e_q_m"):
         summary[name] = float(np.mean([row[name] for row in group]))
     for name in ERRORS:
@@ -165,6 +167,15 @@ def beside_published(cells: Iterable[Row], published: Sequence[PublishedRow] = T
                 row |= {f"{cell['method']}_{name}": cell[f"{name}_median"] for name in ERRORS}
         beside.append(row)
     return beside
+
+
+def check_parquet() -> None:
+    """Find out before the work is done that Parquet cannot be written.
+
+    Raises:
+        MissingExtraError: pyarrow is absent.
+    """
+    _pyarrow()
 
 
 def _pyarrow() -> tuple[Any, Any]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import is_
 
 import gtsam
 import numpy as np
@@ -126,7 +127,7 @@ class MotionMeasurement(Value):
         if not end > start:
             raise InputError(f"{returns.name}: the scan ends at {end} s, which is not after its start at {start} s")
         estimate, at = estimate_moving(returns, target, twist)
-        if estimate.status == "failed":
+        if not estimate.usable:
             raise EstimationError(f"{returns.name}: {estimate.reason}")
         return cls(returns, start, end, at, np.asarray(twist, float), estimate)
 
@@ -274,7 +275,7 @@ def solve_motion(
             measurement.with_twist(twist_between(motion, measurement.end - measurement.start), stale)
             for measurement, motion in zip(term.measurements, term.motions(State.of(values)), strict=True)
         )
-        if solution is not None and again == term.measurements:  # the very same
+        if solution is not None and all(map(is_, again, term.measurements)):
             return solution
         term = replace(term, measurements=again)
         solution = solve(values, [term], others)

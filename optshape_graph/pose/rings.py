@@ -13,18 +13,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.edges import EdgePoints, extract_edge_points, with_top_and_bottom
-from optshape_graph.factors.measurement import TemplateMeasurement, refine, template_rows
-from optshape_graph.factors.static import EDGE_OFFSET, BiasedMeasurement, SharedError
+from optshape_graph.edges import UP, EdgePoints, extract_edge_points, upward, with_top_and_bottom
+from optshape_graph.factors.measurement import refine, template_rows
+from optshape_graph.factors.static import (
+    EDGE_OFFSET,
+    ELEVATION,
+    OUTER_EDGE,
+    STRAIN,
+    BiasedMeasurement,
+    SharedError,
+)
 from optshape_graph.pose.association import ReturnsPlane, enumerate_poses, fit_plane
 from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
+from optshape_graph.pose.fit import Evidence
 from optshape_graph.pose.modes import Modes, SampledPose, compare_modes, rank
-from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, plane_measurement, returns_on_plane
+from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, one_scan, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
+from optshape_graph.pose.outline import Ends, fit_ends, strain_columns, tilt_of_rings
 from optshape_graph.pose.propagation import EdgeGeometry, Posterior, Problem, edge_geometry
 from optshape_graph.pose.result import Ambiguity, Finding
+from optshape_graph.pose.surface import PlaneResiduals, Surface, as_seen, displaced, find_surface
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import difference, vec, vec_derivative
+from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 
@@ -34,17 +45,25 @@ class Measured(Value):
 
     Attributes:
         scan: the returns, angles put right.
+        angular_noise: standard deviation of an angle, rad; 0 where angles are exact.
+        tilt: how elevations vary with azimuth within rings, see `tilt_of_rings`.
         edges: both ends of each ring, on the grid of firings.
         plane: of the returns.
-        returns: all returns against a plane near the target's.
-        on_plane: the same, compressed.
+        returns: all returns against a plane near the target's, with the noise that the sensor file states.
+        off_plane: how they lie off it, and the noise and the biases that they show.
+        surface: the shape in these distances.
+        on_plane: the returns of the plane, with noise and biases as large as they are seen, compressed.
         problem: the target in this scan.
     """
 
     scan: Scan
+    angular_noise: float
+    tilt: tuple[float, float]
     edges: EdgePoints
     plane: ReturnsPlane
     returns: PlaneReturns
+    off_plane: PlaneResiduals
+    surface: Surface
     on_plane: BiasedMeasurement
     problem: Problem
 
@@ -55,14 +74,25 @@ def measure(scan: Scan, target: Target, options: PoseOptions) -> Measured:
     Raises:
         EstimationError: the returns span no plane, or no azimuth step is to be found.
     """
+    assert scan.ring is not None
+    ring, as_recorded = scan.ring, scan
     scan, angular_noise = level_rings(scan)
     edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
-    plane = fit_plane(scan.points, scan.ring)
+    plane = fit_plane(scan.points, ring)
     returns = returns_on_plane(scan, plane.axes[0], plane.distance, angular_noise, options)
-    on_plane = plane_measurement(returns)
+    off_plane = PlaneResiduals.of(returns, plane, target, ring)
+    seen = as_seen(returns, off_plane).with_elevations(
+        plane.axes[0], ring[off_plane.usual], _elevation_error(scan.sensor)
+    )
+    on_plane = plane_measurement(seen)
     bounded = edges if angular_noise else _bounded(edges, scan)
-    problem = Problem(bounded, target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor, options))
-    return Measured(scan, edges, plane, returns, on_plane, problem)
+    problem = Problem(bounded, target, one_scan(on_plane).quadratic(), EdgeNoise.of(scan.sensor, options))
+    surface, tilt = find_surface(off_plane), tilt_of_rings(as_recorded)
+    return Measured(scan, angular_noise, tilt, edges, plane, returns, off_plane, surface, on_plane, problem)
+
+
+def _elevation_error(sensor: SensorModel | None) -> float:
+    return sensor.elevation_error if sensor else SensorModel.elevation_error
 
 
 def find_candidates(measured: Measured) -> Posterior:
@@ -87,25 +117,34 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
 
     # The best mode in one measurement, at its minimum.
     best, n = modes.candidates.select(slice(0, 1)), len(edges)
+    T, labels, offset = best.T_target_lidar, best.geometry.labels, float(best.offset[0])
+    if modes.sampled is not None:
+        T, offset = modes.sampled.T_target_lidar[None], modes.sampled.offset
+        labels = edge_geometry(problem, T).labels
+    of_ends = replace(problem, edges=edges)
+    ends = fit_ends(of_ends, T[0], labels[0, :n])
     if modes.sampled is None:
-        on_edges, edge_weight = _edge_measurement(problem, modes)
-        shared = on_edges + on_plane
-        measurement = shared.marginal(1.0)
-        measurement = _widen(measurement.at(refine(measurement)), modes)
-        offset, labels = float(best.offset[0]), best.geometry.labels
+        on_edges, edge_weight = _edge_measurement(problem, modes, ends, _elevation_error(scan.sensor))
     else:
         on_edges, edge_weight = sampled_measurement(modes.sampled, on_plane)
-        shared = on_edges + on_plane
-        measurement = shared.marginal(1.0).at(modes.sampled.T_target_lidar)
-        measurement = measurement.at(refine(measurement))
-        offset, labels = modes.sampled.offset, None
+    shared = on_edges + on_plane
+    exact = one_scan(shared).at(T[0])
+    T_target_lidar = refine(exact)
+
+    # What is uncertain beside: the surface, associations that disagree, ends that scatter more than they should.
+    shared = displaced(shared, measured.surface, measured.off_plane, target, T_target_lidar)
+    if modes.sampled is None:
+        shared = _widened(shared, T_target_lidar, modes)
+    else:
+        shared = replace(shared, stack=shared.stack / ends.factor)
 
     # How the ring ends lie about the edges there.
-    final = edge_geometry(problem, measurement.T_target_lidar[None], labels)
+    final = edge_geometry(problem, T_target_lidar[None], labels)
     return Finding(
         target=target,
         returns=scan,
-        measurement=measurement,
+        measurement=one_scan(shared).at(T_target_lidar),
+        exact=exact,
         shared=shared,
         total_weight=edge_weight + float((1 / measured.returns.sigma**2).sum()),
         ambiguity=Ambiguity(modes.margin, modes.rival),
@@ -115,6 +154,9 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         inset=best.inset[0, :n],
         edge_sigma=best.sigma[0, :n],
         edge_residuals=(final.residual[0] + best.inset[0] * final.along[0])[:n],
+        evidence=Evidence(
+            scan, of_ends, measured.off_plane, measured.surface, ends, measured.angular_noise, measured.tilt
+        ),
         objection=_objection(problem, final, offset, options.min_explained),
     )
 
@@ -129,8 +171,13 @@ def _bounded(edges: EdgePoints, scan: Scan) -> EdgePoints:
     return with_top_and_bottom(edges, scan) if complete else edges
 
 
-def _edge_measurement(problem: Problem, modes: Modes) -> tuple[BiasedMeasurement, float]:
-    """Boundary points against their edges, before the offset that they share is marginalised; and their weight.
+def _edge_measurement(
+    problem: Problem, modes: Modes, ends: Ends, elevation_error: float
+) -> tuple[BiasedMeasurement, float]:
+    """Boundary points against their edges, before what they share is marginalised; and their weight.
+
+    They share the offset across the edges, and the strains of an outline that isn't as drawn, as large as are seen;
+    those of a ring its elevation's error. Ends that scatter more than they should count less.
 
     Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely
     take part: a weighted mean of their costs is a cost of the same form. Its minimum is near the mixture's mean where
@@ -144,6 +191,7 @@ def _edge_measurement(problem: Problem, modes: Modes) -> tuple[BiasedMeasurement
     mean = np.einsum("c,cij->ij", weight, covariance)
     weight = weight / np.trace(np.linalg.solve(covariance, mean), axis1=1, axis2=2)
     weight /= weight.sum()
+    rings, outside = np.unique(problem.edges.ring), np.abs(problem.edges.side) == UP
     rows, total = [], 0.0
     for k in np.flatnonzero(weight):
         one = posterior.select(slice(k, k + 1))
@@ -152,20 +200,44 @@ def _edge_measurement(problem: Problem, modes: Modes) -> tuple[BiasedMeasurement
         A, r = template_rows(
             boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]] + geometry.shift[0]
         )
+        own, outer = _outer_edges(problem.edges, sigma, geometry.own[0])
         offset = geometry.across[0] * problem.noise.COMMON
-        whitened = np.column_stack([offset, A, r]) / sigma[:, None]
-        shifts = _without_shifts(problem.ring_shifts * (geometry.along[0] / sigma)[:, None])
+        strains = ends.seen_strain * strain_columns(problem.target, geometry.labels[0], boundary, one.T_target_lidar[0])
+        up = (geometry.direction[0] * (upward(boundary) @ one.T_target_lidar[0, :3, :3].T)).sum(axis=1)
+        lifted = elevation_error * up[:, None] * (problem.edges.ring[:, None] == rings)
+        whitened = np.column_stack([offset, strains, outer, lifted, A, r]) / (ends.factor * own[:, None])
+        shifts = _without_shifts(problem.ring_shifts * (geometry.along[0] / own)[:, None])
         rows.append(np.sqrt(weight[k]) * shifts @ whitened)
-        total += float(weight[k] * (1 / sigma**2).sum())
+        total += float(weight[k] * (1 / (ends.factor * sigma) ** 2).sum())
     stack = np.vstack(rows)
     measurement = BiasedMeasurement.from_rows(
-        stack[:, 1:13],
-        stack[:, :1],
-        stack[:, 13],
+        stack[:, -13:-1],
+        stack[:, :-13],
+        stack[:, -1],
         posterior.T_target_lidar[0],
-        [SharedError(EDGE_OFFSET)],
+        [
+            *(SharedError(kind) for kind in (EDGE_OFFSET, *STRAIN)),
+            *(SharedError(OUTER_EDGE, ring=int(ring)) for ring in problem.edges.ring[outside]),
+            *(SharedError(ELEVATION, ring=int(ring)) for ring in rings),
+        ],
     )
     return replace(measurement, n_rows=len(problem.edges)), total
+
+
+def _outer_edges(edges: EdgePoints, sigma: Floats, own: Floats) -> tuple[Floats, Floats]:
+    """Split what is known of where the target ends before the next ring, the same in all scans of a static scene.
+
+    Args:
+        edges: ring ends, and returns of the highest and the lowest ring.
+        sigma: (M,) standard deviation of each, metres.
+        own: (M,) variance that each scan draws anew, square metres.
+
+    Returns:
+        (M,) the part of the standard deviations that is drawn anew, and (M, K) the part that is shared.
+    """
+    outside = np.abs(edges.side) == UP
+    new = np.where(outside, np.sqrt(np.clip(own, 1e-2 * sigma**2, sigma**2)), sigma)
+    return new, (np.eye(len(sigma)) * np.sqrt(np.maximum(sigma**2 - new**2, 0.0)))[:, outside]
 
 
 def sampled_measurement(sampled: SampledPose, on_plane: BiasedMeasurement) -> tuple[BiasedMeasurement, float]:
@@ -182,7 +254,7 @@ def sampled_measurement(sampled: SampledPose, on_plane: BiasedMeasurement) -> tu
     scale = np.append(np.ones(6), EdgeNoise.COMMON)
     total = np.linalg.inv(sampled.covariance) * np.outer(scale, scale)
     elsewhere, pull = np.zeros((7, 7)), np.zeros(7)  # of the plane, and of the offset's prior
-    plane = on_plane.marginal(1.0).at(T)
+    plane = one_scan(on_plane).at(T)
     J = plane.jacobian(T)
     elsewhere[:6, :6], elsewhere[6, 6] = J.T @ J, 1.0
     pull[:6], pull[6] = J.T @ plane.residual(T), sampled.offset / EdgeNoise.COMMON
@@ -216,8 +288,8 @@ def _without_shifts(B: Floats) -> Floats:
     return np.asarray(np.eye(len(B)) - (B * ((1 - 1 / np.sqrt(1 + square)) / square)) @ B.T)
 
 
-def _widen(measurement: TemplateMeasurement, modes: Modes) -> TemplateMeasurement:
-    """Scale the measurement down where associations of the best mode disagree about the pose.
+def _widened(shared: BiasedMeasurement, T_target_lidar: Floats, modes: Modes) -> BiasedMeasurement:
+    """Scale a measurement down where associations of the best mode disagree about the pose.
 
     The covariance of the mixture about the estimate, averaged over directions, is the measurement's own times a
     factor of at least 1.
@@ -225,13 +297,11 @@ def _widen(measurement: TemplateMeasurement, modes: Modes) -> TemplateMeasuremen
     weight, posterior = modes.weights, modes.candidates
     rows = np.flatnonzero(weight)
     if len(rows) == 1:
-        return measurement
-    xi = difference(measurement.T_target_lidar, posterior.T_target_lidar[rows])
+        return shared
+    xi = difference(T_target_lidar, posterior.T_target_lidar[rows])
     second_moment = np.einsum("c,cij->ij", weight[rows], posterior.covariance[rows] + xi[:, :, None] * xi[:, None, :])
-    factor = max(1.0, float(np.trace(measurement.information() @ second_moment)) / 6.0)
-    return TemplateMeasurement.from_stack(
-        measurement.stack / np.sqrt(factor), measurement.n_rows, measurement.T_target_lidar
-    )
+    factor = max(1.0, float(np.trace(one_scan(shared).information(T_target_lidar) @ second_moment)) / 6.0)
+    return replace(shared, stack=shared.stack / np.sqrt(factor))
 
 
 def _objection(problem: Problem, geometry: EdgeGeometry, offset: float, min_explained: float) -> str:

@@ -13,6 +13,7 @@ from optshape_graph.design.problem import Problem, random_parameters
 from optshape_graph.design.released import sphere_grid
 from optshape_graph.design.rings import UniformRings
 from optshape_graph.design.sensitivity import MU, cell_scores
+from optshape_graph.runs.workers import Pool
 
 pytestmark = pytest.mark.benchmark
 
@@ -73,9 +74,9 @@ def test_a_batch_against_a_plain_loop_over_cells():
 def test_two_workers_against_one():
     """The full search of 64 starts: minutes."""
     start = time.perf_counter()
-    two = search(Problem(), 64, seed=0, workers=2)
+    two = search(Problem(), 64, seed=0, pool=Pool(2))
     middle = time.perf_counter()
-    one = search(Problem(), 64, seed=0, workers=1)
+    one = search(Problem(), 64, seed=0, pool=Pool(1))
     end = time.perf_counter()
     ratio = (end - middle) / (middle - start)
     print(f"\n64 starts: two workers {middle - start:.0f} s, one {end - middle:.0f} s: {ratio:.2f} times")

@@ -8,7 +8,6 @@ from click.testing import CliRunner
 
 from optshape_graph.cli.evaluate import command
 
-pytest.importorskip("joblib")
 pytest.importorskip("matplotlib")
 pytest.importorskip("pyarrow")
 
