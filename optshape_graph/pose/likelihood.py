@@ -33,6 +33,9 @@ from optshape_graph.scan import Scan
 from optshape_graph.se3 import apply, inverse, vec
 from optshape_graph.sensor import SensorModel
 
+KNOWN_LOST = (10.0, 0.4)
+"""Rings that count as tried before a scan, and as lost: one in 25, as on recordings."""
+
 _PLACES = 24  # of the grid within a step that are averaged over
 _SEEN = 0.05  # a ring's place counts as known below this, in steps
 _REACH = 3.5  # standard deviations of a ring's place that count
@@ -41,7 +44,8 @@ _REACH = 3.5  # standard deviations of a ring's place that count
 def share_lost(edges: EdgePoints) -> float:
     """Share of rings that return nothing though they meet the target, from those between the lowest and highest."""
     between = edges.ring[-1] - edges.ring[0] + 1
-    return float((between - edges.n_rings + 1.0) / (between + 9.0))
+    tried, lost = KNOWN_LOST
+    return float((between - edges.n_rings + lost) / (between + tried))
 
 
 def missed_rings(problem: Problem, posterior: Posterior, ends: EdgePoints, sensor: SensorModel) -> Floats:

@@ -39,6 +39,7 @@ def estimate_row(scan: Scan, target: Target, T_true: np.ndarray) -> Row:
         "margin": min(float(estimate.ambiguity.margin), 1e6),
         "certified": bool(estimate.certificate.certified),
         "turn_deg": float(np.degrees(np.linalg.norm(xi[:3]))),
+        "elsewhere": not of_mode(xi, target),
         "moved_m": float(np.linalg.norm(xi[3:])),
         "nees": float(xi @ np.linalg.solve(estimate.covariance, xi)),
         "sd_deg": float(np.degrees(np.sqrt(np.trace(estimate.covariance[:3, :3])))),
@@ -54,9 +55,12 @@ def is_listed(scan: Scan, target: Target, T_true: np.ndarray) -> bool:
     except ImportError:
         return True
     found = find_candidates(measure(scan, target, PoseOptions())).T_target_lidar
-    errors = (nearest_error(target, np.linalg.inv(T), T_true) for T in found)
-    near = (25.0, 0.35 * target.circumradius)
-    return any(np.degrees(np.linalg.norm(e[:3])) < near[0] and np.linalg.norm(e[3:]) < near[1] for e in errors)
+    return any(of_mode(nearest_error(target, np.linalg.inv(T), T_true), target) for T in found)
+
+
+def of_mode(xi: np.ndarray, target: Target) -> bool:
+    """Whether an error (6,) is within 25 deg and 0.35 target radii: what a margin counts as the same pose."""
+    return bool(np.degrees(np.linalg.norm(xi[:3])) < 25.0 and np.linalg.norm(xi[3:]) < 0.35 * target.circumradius)
 
 
 def nearest_error(target: Target, T_estimate: np.ndarray, T_true: np.ndarray) -> np.ndarray:

@@ -58,15 +58,12 @@ def agrees(line: Row) -> bool:
 
 
 def calibration(rows: Sequence[Row]) -> list[Row]:
-    """Compare, by bins of the margin, how many choices are wrong with how many the margins promise.
-
-    Estimates whose own covariance leaves the turn open (over 15 deg) are of no mode in particular and do not count.
-    """
-    judged = [row for row in rows if "margin" in row and row["sd_deg"] < 15.0]
+    """Compare, by bins of the margin, how many choices are wrong with how many the margins promise."""
+    judged = [row for row in rows if "margin" in row]
     lines = []
     for low, high in pairwise(BINS):
         inside = [row for row in judged if low <= max(row["margin"], 0.0) < high]
-        wrong = sum(row["turn_deg"] > FLIPPED_DEG for row in inside)
+        wrong = sum(row["elsewhere"] for row in inside)
         promised = np.array([1 / (1 + np.exp(min(row["margin"], 700.0))) for row in inside])
         lines.append({"from": low, "to": high, "scans": len(inside), "wrong": wrong, "promised": float(promised.sum()),
                       "sd": float(np.sqrt((promised * (1 - promised)).sum()))})  # fmt: skip
