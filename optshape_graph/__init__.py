@@ -15,6 +15,7 @@ from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Chessboard, Target
 
 if TYPE_CHECKING:
+    from optshape_graph.calibration.camera import CameraCalibration, calibrate_camera
     from optshape_graph.calibration.mocap import MocapCalibration, calibrate_mocap
     from optshape_graph.detection import Detections, detect_targets
     from optshape_graph.io import load_sensor, load_session, load_target, read_scan
@@ -24,10 +25,12 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "CameraCalibration": "calibration.camera",
     "Detections": "detection",
     "Map": "mapping",
     "MocapCalibration": "calibration.mocap",
     "PoseEstimate": "pose",
+    "calibrate_camera": "calibration.camera",
     "calibrate_mocap": "calibration.mocap",
     "detect_targets": "detection",
     "estimate_pose": "pose",
@@ -42,6 +45,7 @@ _HOME = {
 """Names that are imported when they are first used, and the subpackage that each comes from."""
 
 __all__ = [
+    "CameraCalibration",
     "Chessboard",
     "Detections",
     "EstimationError",
@@ -56,6 +60,7 @@ __all__ = [
     "Target",
     "UnobservableError",
     "__version__",
+    "calibrate_camera",
     "calibrate_mocap",
     "detect_targets",
     "estimate_pose",

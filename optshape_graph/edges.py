@@ -36,7 +36,8 @@ class EdgePoints(Value):
         azimuth: (M,) rad, relative to `reference_azimuth`, increasing to the left.
         index: (M,) row of the scan that each point is.
         revolutions: (M,) how many revolutions were merged in the point's ring.
-        lower: (M,) angle beyond each point, outwards, from which on the boundary may lie, rad.
+        lower: (M,) angle beyond each point, outwards, from which on the boundary may lie, rad: 0, or inside the point
+            as far as it is parted from the rest of its ring, for it may be a stray.
         upper: (M,) angle up to which it may, rad: one step on, for one revolution.
         scatter: (M,) standard deviation of the interval's place, each point's own, rad: 0 for exact azimuths.
         shift: (M,) standard deviation of the place of a whole ring, by which both its ends move the same way, rad: 0
@@ -113,11 +114,16 @@ class EdgePoints(Value):
 
         Along the ring it is +-(z x p), across the rings +-(p x (z x p)) / |z x p|.
         """
-        x, y, z = self.points.T
-        flat = np.hypot(x, y)
-        azimuthal = np.column_stack([-y, x, np.zeros(len(x))])
-        polar = np.column_stack([-x * z / flat, -y * z / flat, flat])
-        return frozen(np.where(np.abs(self.side)[:, None] == LEFT, azimuthal, polar) * np.sign(self.side)[:, None])
+        azimuthal = np.column_stack([-self.points[:, 1], self.points[:, 0], np.zeros(len(self))])
+        along = np.where(np.abs(self.side)[:, None] == LEFT, azimuthal, upward(self.points))
+        return frozen(along * np.sign(self.side)[:, None])
+
+
+def upward(points: Floats) -> Floats:
+    """(N, 3) motion of points (N, 3) as their elevation grows at constant range, metres per radian."""
+    x, y, z = points.T
+    flat = np.hypot(x, y)
+    return np.column_stack([-x * z / flat, -y * z / flat, flat])
 
 
 def relative_azimuth(points: Floats) -> tuple[Floats, float]:
@@ -190,13 +196,38 @@ def extract_edge_points(scan: Scan) -> EdgePoints:
         azimuth=azimuth[index],
         index=index,
         revolutions=np.repeat(revolutions, 2).astype(np.int64),
-        lower=nothing,
+        lower=-_parted(azimuth[order], first, last, step),
         upper=np.repeat(extreme_width(revolutions), 2) * step,
         scatter=nothing,
         shift=nothing,
         reference_azimuth=reference,
         azimuth_step=step,
     )
+
+
+PARTED = 2.5
+"""Azimuth, in steps, by which a ring's outermost returns are parted from the rest where they may be strays: two missing
+firings. Most such ends of one recorded sensor lie outside the target, those of another on its rim."""
+
+
+def _parted(azimuth: Floats, first: Ints, last: Ints, step: float) -> Floats:
+    """(M,) angle from each end of a ring inwards across a gap beside its outermost two returns; 0 where none is.
+
+    Args:
+        azimuth: (N,) of the returns, ring by ring, falling within each, rad.
+        first: (R,) row of each ring's left end.
+        last: (R,) row of its right end.
+        step: rad.
+    """
+    across = np.zeros((len(first), 2))
+    for side, (end, way, other) in enumerate(((first, 1, last), (last, -1, first))):
+        for k in (1, 2):
+            inner, before = end + way * k, end + way * (k - 1)
+            there = way * (other - inner) > 0  # a ring of strays alone has no rest
+            inner, before = np.where(there, inner, end), np.where(there, before, end)
+            gap = np.abs(azimuth[before] - azimuth[inner])
+            across[:, side] = np.where(gap > PARTED * step, np.abs(azimuth[end] - azimuth[inner]), across[:, side])
+    return across.ravel()
 
 
 def with_top_and_bottom(edges: EdgePoints, scan: Scan) -> EdgePoints:

@@ -76,6 +76,24 @@ class Scan(Value):
         )
 
 
+def without_duplicates(scan: Scan) -> tuple[Scan, int]:
+    """Return a scan with each return once, and how many exact copies were dropped.
+
+    A driver that reports two returns of each firing repeats the one where there was no other. It says nothing new.
+    """
+    if len(scan) < 2:
+        return scan, 0
+    order = np.lexsort(scan.points.T)
+    again = (np.diff(scan.points[order], axis=0) == 0).all(axis=1)
+    if scan.ring is not None:
+        again &= np.diff(scan.ring[order]) == 0
+    if not again.any():
+        return scan, 0
+    keep = np.ones(len(scan), dtype=bool)
+    keep[order[1:][again]] = False
+    return scan.select(keep), int(again.sum())
+
+
 def rings_missing(scan: Scan) -> InputError:
     """Return the error that a scan, in which targets are to be found, has no rings; it says what can be done."""
     return InputError(

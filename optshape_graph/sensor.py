@@ -21,6 +21,8 @@ class SensorModel(Value):
         azimuth_step: rad between two firings of a beam; None: estimated from the returns.
         range_noise: standard deviation of one range, metres.
         ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
+        elevation_error: standard deviation over rings of how far elevations are off the table, rad. Makers state or are
+            found to keep a twentieth to a tenth of a degree.
         beam_divergence: full angle of the beam, rad.
         beam_aperture: width of the beam where it leaves the sensor, metres.
         beam_crossing: where the beams cross, horizontal distance from the axis, metres; drivers report heights as if
@@ -40,6 +42,7 @@ class SensorModel(Value):
     azimuth_step: float | None = None
     range_noise: float = 0.01
     ring_bias: float = 0.01
+    elevation_error: float = np.radians(0.1)
     beam_divergence: float = 0.0
     beam_aperture: float = 0.0
     beam_crossing: float = 0.0
@@ -66,6 +69,7 @@ class SensorModel(Value):
         for field in (
             "range_noise",
             "ring_bias",
+            "elevation_error",
             "beam_divergence",
             "beam_aperture",
             "beam_crossing",

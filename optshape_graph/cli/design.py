@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from optshape_graph.cli.console import say
+from optshape_graph.cli.design_choose import choose, measured, optimise_poses
 from optshape_graph.cli.options import (
     DISTANCE,
     FILE,
@@ -22,18 +23,42 @@ from optshape_graph.cli.options import (
 
 if TYPE_CHECKING:
     from optshape_graph.design.judgement import Judgement
+    from optshape_graph.design.sheets import Orientation
     from optshape_graph.runs.workers import Pool
 
-STUDIED = ("square", "diamond", "triangle", "paper", "built@1", "optimal", "optimal3", "optimal5")
+STUDIED = ("square", "diamond", "triangle", "paper", "built@1", "score-optimal", "pose-optimal")
 PAPERS = click.Choice(["A0", "A1", "A2", "A3", "A4"], case_sensitive=False)
+
+
+SCORE_COLUMNS = """\b
+shortest m      the shortest edge
+six rotations   the paper's score, worst of its six rotations; every 1, 0.1 deg: worst of all orientations. How far
+                the rings' end points move along the rings under the worst small motion: more is better
+asymmetry       share of itself that the shape uncovers when it is turned by the angle at which it is most like
+                itself: 0: symmetric, its pose is ambiguous; below about 0.15 a stray return can turn it
+e_t             bound on the distance between the estimated and the true origin of the target, mm
+e_r             bound on the angle between the estimated and the true rotation, deg; in plane: about the normal
+
+No unbiased estimate has a smaller root mean square error than the bound. An infinite one: rings that end on two
+parallel edges only, as on a square that stands upright, leave the pose undetermined.
+
+\b
+Example:
+  optshape design score paper pose-optimal board.yaml --sensor os0-64 --distance 15
+"""
 
 
 @click.group()
 def command() -> None:
     """Design target shapes: find one, judge them, draw one at 1:1.
 
-    A SHAPE is a built-in name (square, paper, optimal, ...), NAME@AREA in m2, or a target file.
+    A SHAPE is a built-in name (square, paper, pose-optimal, ...), NAME@AREA in m2, or a target file.
     """
+
+
+command.add_command(choose)
+command.add_command(measured)
+command.add_command(optimise_poses)
 
 
 @command.command()
@@ -77,7 +102,7 @@ def optimise(
     plots: Path | None,
     output: Path,
 ) -> None:
-    """Find the shape whose worst score is best.
+    """Find the shape whose worst score is best: the paper's aim. For poses: `optimise-poses`.
 
     The worst is taken over every orientation and every partly lit area. Finished starts are kept in OUTPUT's folder,
     in a folder named after it; run the same command again to go on after an interruption. A target file that no search
@@ -132,7 +157,7 @@ def optimise(
         save_figure(viz.plot_convexity(), plots / "convexity.png")
 
 
-@command.command()
+@command.command(epilog=SCORE_COLUMNS)
 @click.argument("shapes", nargs=-1, required=True, metavar="SHAPE...")
 @click.option("--sensor", default="vlp32c", show_default=True, help="To bound the pose for: name or file.")
 @click.option("--distance", type=DISTANCE, default=10.0, show_default=True, help="Of the target from it, m.")
@@ -181,19 +206,39 @@ def score(
 @click.argument("shape")
 @click.option("--format", "suffix", type=click.Choice(["svg", "dxf", "pdf"]), default="pdf", show_default=True)
 @click.option("--paper", type=PAPERS, help="Spread SVG or PDF over sheets.  [default: one large sheet]")
+@click.option("--orientation", type=click.Choice(["auto", "portrait", "landscape"]), default="auto", show_default=True,
+              help="Of the sheets; auto: whichever needs fewer.")  # fmt: skip
+@click.option("--markers", "marker_inset", type=Number(0.0, 1000.0), default=0.0, metavar="MM",
+              help="Mark where motion-capture markers go: this far in from each corner.")  # fmt: skip
+@click.option("--holes", nargs=2, type=Number(0.0, 1000.0), default=(0.0, 30.0), metavar="MM MM",
+              help="Diameter of a hole at each corner, and how far in from it.")  # fmt: skip
 @click.option("-o", "--output", type=FILE, help="File to write.  [default: SHAPE.FORMAT]")
 @force_option
-def export(shape: str, suffix: str, paper: str | None, output: Path | None, force: bool) -> None:
-    """Draw a target at 1:1: the face that the LiDAR sees, with its dimensions.
+def export(
+    shape: str,
+    suffix: str,
+    paper: str | None,
+    orientation: Orientation,
+    marker_inset: float,
+    holes: tuple[float, float],
+    output: Path | None,
+    force: bool,
+) -> None:
+    """Draw a target at 1:1: the face that the LiDAR sees, its dimensions, and what the file has printed on it.
+
+    A chessboard, tags, or both (ChArUco) are drawn black, and nothing over them. Several sheets come with a plan of
+    them. The parts are listed.
 
     The drawing is the mirror image of the vertex list, which is given as seen from behind. The target file that
     everything else reads is written beside it, unless it is there. A drawing that is there is written over only with
     --force.
     """
     from optshape_graph.cli.outputs import Outputs
-    from optshape_graph.design.drawing import draw
+    from optshape_graph.design.drawing import Workshop, draw
     from optshape_graph.design.formats import export as write
     from optshape_graph.design.formats import files_of
+    from optshape_graph.design.parts import parts_list
+    from optshape_graph.design.sheets import lay_out
     from optshape_graph.io.targets import load_target, save_target
     from optshape_graph.names import file_name
 
@@ -201,12 +246,19 @@ def export(shape: str, suffix: str, paper: str | None, output: Path | None, forc
     path = Path(f"{file_name(target.name)}.{suffix}") if output is None else output
     if path.suffix.lower() != f".{suffix}":
         raise click.UsageError(f"--format {suffix} writes a .{suffix} file; found {path}")
-    drawing, sheet, description = draw(target), None if paper is None else paper.upper(), path.with_suffix(".yaml")
+    workshop = Workshop(marker_inset, *holes)
+    drawing, sheet = draw(target, workshop), None if paper is None else paper.upper()
+    description = path.with_suffix(".yaml")
     outputs = Outputs([shape], force=force)
-    for file in files_of(drawing, path, sheet):
+    for file in files_of(drawing, path, sheet, orientation):
         outputs.new("--output", file)
-    for written in write(drawing, path, sheet):
+    sheets = lay_out(drawing, sheet, orientation) if suffix != "dxf" else None
+    parts = parts_list(target, workshop, sheets)
+    for written in write(drawing, path, sheet, orientation, parts):
         say(f"wrote {written}")
+    say("parts:")
+    for part in parts:
+        say(f"  {part}")
     if not description.exists():
         save_target(description, target)
         say(f"wrote {description}")

@@ -152,7 +152,7 @@ def _show(groups: list[Row]) -> None:
     """Print how the estimates of each group ended, and their mean errors and 95th percentiles."""
     from optshape_graph.cli.console import print_table
 
-    columns = ["method", "noise", "orientation", "ok", "ambiguous", "failed"]
+    columns = ["method", "noise", "orientation", "ok", "doubtful", "ambiguous", "failed"]
     errors = [f"{name}_{part}" for name in ("rmse_m", "e_r_deg") for part in ("mean", "p95")]
     print_table(
         "Errors over all distances, of every estimate that there is",

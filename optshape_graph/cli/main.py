@@ -26,6 +26,7 @@ COMMANDS = {
     "map": "optshape_graph.cli.map",
     "evaluate": "optshape_graph.cli.evaluate",
     "view": "optshape_graph.cli.view",
+    "report": "optshape_graph.cli.html_report",
     "demo": "optshape_graph.cli.demo",
     "doctor": "optshape_graph.cli.doctor",
     "completion": "optshape_graph.cli.completion",
@@ -43,6 +44,7 @@ HELP = {
     "map": "Map targets and a trajectory out of a bag, a folder of clouds or a session.",
     "evaluate": "Measure how good the estimates are, beside what the paper reports.",
     "view": "Show a scan or a result in space, in Rerun or Open3D.",
+    "report": "Write what a result means as one HTML file: verdict, numbers, pictures.",
     "demo": "Calibrate a bundled session: a result and pictures, in seconds.",
     "doctor": "Look at the installation: versions, extras, a self-check, and what to do.",
     "completion": "Print the script that makes bash, zsh or fish complete commands.",
@@ -61,7 +63,7 @@ LONGEST_MESSAGE = 2000
 def cli(debug: bool) -> None:
     """LiDAR targets as landmarks: certified poses with covariances, calibration, maps.
 
-    Exit status: 0 all well; 1 unexpected; 2 bad usage or input; 3 some scans failed or are ambiguous
+    Exit status: 0 all well; 1 unexpected; 2 bad usage or input; 3 some scans failed, are doubtful or ambiguous
     (the results of the others are written).
     """
     handler = logging.StreamHandler()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from optshape_graph.cli.console import SECONDS_BETWEEN, say, terminal, warn
+from optshape_graph.cli.html_report import conclude, report_option
 from optshape_graph.cli.options import FILE, POSITIVE, Number, force_option, outside_option, pool_options
 from optshape_graph.cli.plots import Pictures, plot_option
 
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
 @click.option("--kitti", "kitti_file", type=FILE, help="Write the trajectory.")
 @click.option("--g2o", "g2o_file", type=FILE, help="Write the pose graph.")
 @force_option
+@report_option
 @plot_option("the map from above, and the structure of its graph")
 @outside_option
 def command(
@@ -82,6 +84,7 @@ def command(
     kitti_file: Path | None,
     g2o_file: Path | None,
     force: bool,
+    html: Path | None,
     plots: Path | None,
 ) -> int:
     """Map the targets that SOURCE saw, and where it saw them from.
@@ -111,6 +114,7 @@ def command(
     outputs.file("--json", json_file, "map")
     for option, file in (("--tum", tum_file), ("--kitti", kitti_file), ("--g2o", g2o_file)):
         outputs.file(option, file)
+    outputs.file("--report", html)
     outputs.folder("--plot", plots)
     opened = _opened(source, target_names, sensor_name, scan_topic, allow_outside)
     describe = {
@@ -147,8 +151,9 @@ def command(
         _write(result, json_file, tum_file, kitti_file, g2o_file)
         journal.remove()
     _say(result)
-    if plots:
-        _draw(result, plots)
+    pictures = _draw(result, plots) if plots else ()
+    document = {**result.map.to_dict(), "trajectory": [{}] * len(result.trajectory)}
+    conclude({**document, "report": {"problems": list(result.problems)}}, html, pictures)
     return 3 if result.problems else 0
 
 
@@ -227,7 +232,7 @@ def _write(result: MapResult, json_file: Path | None, tum: Path | None, kitti: P
         warn(f"{g2o}: not written, for no landmark was mapped")
 
 
-def _draw(result: MapResult, plots: Path) -> None:
+def _draw(result: MapResult, plots: Path) -> list[Path]:
     from optshape_graph.viz.map import plot_map, plot_structure
 
     pictures = Pictures(plots)
@@ -235,6 +240,7 @@ def _draw(result: MapResult, plots: Path) -> None:
     if result.solution is not None:
         pictures.save("structure", plot_structure(result.solution.problem))
     pictures.tell()
+    return pictures.paths
 
 
 def _say(result: MapResult) -> None:

@@ -69,6 +69,23 @@ def outside_option(function: Callable[..., Any]) -> Callable[..., Any]:
     )(function)  # fmt: skip
 
 
+def sensor_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--sensor` to a command that reads clouds; it takes the value as `sensor`, for `inputs.sensor_of`."""
+    return click.option(
+        "--sensor",
+        help="Built-in name, sensor file, or a maker's file of the unit's beams; `none`: rings from the cloud, noise "
+        "of a centimetre.  [default: the built-in one whose table the elevations fit, which is said; or `none`]",
+    )(function)
+
+
+def columns_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--columns` to a command that reads clouds; it takes the names as `columns`, None if they are not given."""
+    return click.option(
+        "--columns", metavar="NAMES", callback=lambda _ctx, _param, value: value and tuple(value.split(",")),
+        help="Names of the columns of clouds that do not name them (CSV, .bin, .npy): x,y,z,_,ring.",
+    )(function)  # fmt: skip
+
+
 def force_option(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--force` to a command that writes files; it takes the value as `force`."""
     return click.option("--force", is_flag=True, help="Write over files that are there, inputs never.")(function)

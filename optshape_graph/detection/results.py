@@ -32,8 +32,8 @@ class Evidence(Value):
             bends away, or something stands before it, there is no edge to be seen.
         apart: of the rays just beyond the side where it is least, those that do not return from something that begins
             at that side: the next face of a box, the floor.
-        seen: of its outline, what is within the field of view.
-        distinct: probability that it is not one of as many surfaces of other shapes: the ends of few rings fit any.
+        seen: of its outline, what is within the field of view and not hidden.
+        distinct: probability that it is no surface of another shape, such as a rectangle: few ring ends fit any.
     """
 
     contained: float
@@ -67,8 +67,9 @@ class Detection(Value):
         margin: difference of log likelihoods to the rival; infinite where there is none.
         probabilities: by name, of each of the targets asked for that fits, had all been as likely before; the likeliest
             first. They sum to 1: that it is one of them is what `evidence` is for.
-        status: "ok"; "ambiguous" where another of the targets, another pose of this one, or a surface of another shape
-            is not ruled out; "failed" where the target is there, but its returns leave its pose undetermined.
+        status: "ok"; "doubtful" where the returns do not fit the model; "ambiguous" where another of the targets,
+            another pose of this one, or a surface of another shape is not ruled out; "failed" where the target is
+            there, but its returns leave its pose undetermined.
         reason: why not "ok", else empty.
     """
 
@@ -119,6 +120,7 @@ class Detection(Value):
             "margin": self.margin if self.rival else None,
             "probabilities": dict(self.probabilities),
             "evidence": asdict(self.evidence),
+            "fit": estimate.fit.to_dict(),
         }
 
 
@@ -151,6 +153,7 @@ class Rejection(Value):
         """Return what the JSON form says of this surface, as plain data."""
         return {
             "reason": self.reason,
+            "passed": self.passed,
             "target": self.target or None,
             "centre": self.centre.tolist(),
             "returns": self.n_returns,

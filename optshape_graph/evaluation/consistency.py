@@ -15,7 +15,7 @@ def consistency(rows: Sequence[Row], level: float = 0.95) -> Row:
     """Compare the errors of estimates with the covariances that they came with.
 
     Args:
-        rows: of `run_simulation`, of one cell and method; failed ones do not count.
+        rows: of `run_simulation`, of one cell and method; failed and doubtful ones do not count.
         level: of the regions whose coverage is counted.
 
     Returns:
@@ -24,7 +24,7 @@ def consistency(rows: Sequence[Row], level: float = 0.95) -> Row:
         `coverage`, the share of the errors inside their 6-dimensional region; `coverage_<axis>` for each axis; and of
         each vertex its `vertex<k>_nees_per_dof` and `vertex<k>_coverage`, of 3 degrees of freedom.
     """
-    judged = [row for row in rows if row["status"] != "failed" and row["nees"] is not None]
+    judged = [row for row in rows if row["status"] not in ("failed", "doubtful") and row["nees"] is not None]
     n = len(judged)
     if n == 0:
         return {"scans": 0}

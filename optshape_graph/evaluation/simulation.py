@@ -47,7 +47,7 @@ class Estimate(Protocol):
 
     @property
     def status(self) -> str:
-        """`ok`, `ambiguous` or `failed`."""
+        """`ok`, `doubtful`, `ambiguous` or `failed`."""
 
 
 Estimator = Callable[[Scan, Target, str], Estimate]

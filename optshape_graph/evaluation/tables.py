@@ -128,7 +128,9 @@ def by_group(rows: Iterable[Row], by: Sequence[str], reduce: Callable[[list[Row]
 
 def _summary(group: list[Row]) -> Row:
     status = [row["status"] for row in group]
-    summary: Row = {"scans": len(group)} | {name: status.count(name) for name in ("ok", "ambiguous", "failed")}
+    summary: Row = {"scans": len(group)} | {
+        name: status.count(name) for name in ("ok", "doubtful", "ambiguous", "failed")
+    }
     for name in ("distance_m", "n_points", "e_q_m"):
         summary[name] = float(np.mean([row[name] for row in group]))
     for name in ERRORS:

@@ -284,15 +284,16 @@ def measurement_of(measured: TemplateMeasurement | Measured) -> TemplateMeasurem
         measured: the measurement, or an estimate that carries it.
 
     Raises:
-        InputError: neither, or an estimate that failed.
+        InputError: neither, or an estimate that failed or is doubtful.
     """
     if isinstance(measured, TemplateMeasurement):
         return measured
     found = getattr(measured, "measurement", None)
     if not isinstance(found, TemplateMeasurement):
         raise InputError(f"expected an estimate or a TemplateMeasurement, found a {type(measured).__name__}")
-    if getattr(measured, "status", "") == "failed":
-        raise InputError(f"no factor can be made of a failed estimate: {getattr(measured, 'reason', '')}")
+    status = getattr(measured, "status", "")
+    if status in ("failed", "doubtful"):
+        raise InputError(f"no factor can be made of a {status} estimate: {getattr(measured, 'reason', '')}")
     return found
 
 

@@ -27,7 +27,7 @@ from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, marginalised, root, triangular
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
-from optshape_graph.se3 import inverse, vec_derivative
+from optshape_graph.se3 import adjoint, inverse, vec_derivative
 
 
 def ring_bias_columns(
@@ -56,8 +56,14 @@ def ring_bias_columns(
     return B
 
 
-RANGE_BIAS, EDGE_OFFSET = "range bias", "edge offset"
-"""Kinds of errors that the pose estimator knows: of ranges, and of how far in the returns at all edges lie."""
+RANGE_BIAS, ELEVATION, EDGE_OFFSET, OUTER_EDGE = "range bias", "elevation", "edge offset", "outer edge"
+"""Kinds of errors of the sensor that the pose estimator knows: of ranges; of rings' elevations; of how far in the
+returns at all edges lie; and of where between two rings the target ends."""
+
+SURFACE = ("surface turned about y", "surface turned about z", "surface shifted along x")
+STRAIN = ("aspect", "shear")
+"""Kinds of errors that are the target's own, in all scans of it: that its surface is not the plane x = 0 of its frame,
+and that its outline is not as drawn."""
 
 
 @dataclass(frozen=True)
@@ -186,6 +192,24 @@ class BiasedMeasurement(Value):
         ordered = self.stack[:, [*gone, *kept, *range(k, k + 13)]]
         R = triangular(np.vstack([np.eye(g, k + 13), ordered]))
         return BiasedMeasurement(R[g:, g:], self.n_rows, self.T_target_lidar, tuple(self.shared[i] for i in kept))
+
+    def displaced(self, errors: Sequence[SharedError], effect: ArrayLike, T_target_lidar: ArrayLike) -> BiasedMeasurement:
+        """Return the measurement where further errors displace the pose, as a whole, in all scans alike.
+
+        The minimum stays where it is; the covariance of the pose grows by effect effect^T, however many scans are fused.
+
+        Args:
+            errors: (k,) what they are.
+            effect: (6, k) right perturbation of T_lidar_target, rotation first, rad and metres, for a standard deviation
+                of each.
+            T_target_lidar: (4, 4) where the effects are linearised: at the minimum.
+        """
+        E, T = checked("effect", effect, (6, len(errors))), np.asarray(T_target_lidar, float)
+        n = len(self.shared)
+        # (T_lidar_target Exp(xi))^-1 = T_target_lidar Exp(-Ad(T_lidar_target) xi)
+        columns = -self.stack[:, n : n + 12] @ vec_derivative(T) @ adjoint(inverse(T)) @ E
+        stack = np.hstack([self.stack[:, :n], columns, self.stack[:, n:]])
+        return BiasedMeasurement(triangular(stack), self.n_rows, self.T_target_lidar, (*self.shared, *errors))
 
     def loosened(self, covariance: ArrayLike) -> BiasedMeasurement:
         """Return the measurement of T_target_lidar with an error of its own behind it; see `TemplateMeasurement`.

@@ -23,7 +23,7 @@ class Estimate(Protocol):
 
     @property
     def status(self) -> str:
-        """`failed` where the estimate is not to be used."""
+        """`failed` or `doubtful` where the estimate is not to be used."""
 
     @property
     def measurement(self) -> TemplateMeasurement:
@@ -57,11 +57,13 @@ class Observation(Value):
             target: which target; None: the template's name.
 
         Raises:
-            InputError: the estimate failed.
+            InputError: the estimate failed or is doubtful.
         """
         name = estimate.target.name if target is None else target
-        if estimate.status == "failed":
-            raise InputError(f"scan '{scan}': the estimate of target '{name}' failed; it is no observation")
+        if estimate.status in ("failed", "doubtful"):
+            raise InputError(
+                f"scan '{scan}': the estimate of target '{name}' is {estimate.status}; it is no observation"
+            )
         return cls(scan, name, estimate.measurement, estimate.target)
 
     @property

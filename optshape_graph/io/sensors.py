@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ def _own(root: Node) -> SensorModel:
     parameters: dict[str, Any] = {
         attribute: fields[key].number() for key, attribute in _METRES.items() if key in fields
     }
-    for key in ("azimuth_step_deg", "beam_divergence_deg"):
+    for key in ("azimuth_step_deg", "beam_divergence_deg", "elevation_error_deg"):
         if key in fields:
             parameters[key.removesuffix("_deg")] = float(np.radians(fields[key].number()))
     if "azimuth_offsets_deg" in fields:
@@ -88,9 +89,15 @@ def _of_maker(path: Path, table: MakerTable) -> SensorModel:
         raise InputError(f"{path}: {error}") from error
 
 
+@cache
+def builtin_sensors() -> tuple[SensorModel, ...]:
+    """Return all built-in sensors, in the order of their names."""
+    return tuple(load_sensor(name) for name in builtin_names("sensor"))
+
+
 def nearest_builtin(elevations: Floats) -> SensorModel | None:
     """Return the built-in sensor whose table is nearest to elevations (R,), rad; None: none has such a table."""
-    sensors = [load_sensor(name) for name in builtin_names("sensor")]
+    sensors = builtin_sensors()
     alike = [(float(np.abs(sensor.elevations - elevations).max()), k) for k, sensor in enumerate(sensors)
              if sensor.n_rings == len(elevations)]  # fmt: skip
     if not alike or min(alike)[0] > ALIKE:
@@ -113,6 +120,7 @@ def save_sensor(path: str | Path, sensor: SensorModel) -> None:
         document["azimuth_step_deg"] = float(np.degrees(sensor.azimuth_step))
     if sensor.azimuth_offsets is not None:
         document["azimuth_offsets_deg"] = np.degrees(sensor.azimuth_offsets).tolist()
+    document["elevation_error_deg"] = float(np.degrees(sensor.elevation_error))
     document["beam_divergence_deg"] = float(np.degrees(sensor.beam_divergence))
     for key, attribute in _METRES.items():
         value = float(getattr(sensor, attribute))

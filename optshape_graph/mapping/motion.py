@@ -127,7 +127,7 @@ class MotionMeasurement(Value):
         if not end > start:
             raise InputError(f"{returns.name}: the scan ends at {end} s, which is not after its start at {start} s")
         estimate, at = estimate_moving(returns, target, twist)
-        if estimate.status == "failed":
+        if not estimate.usable:
             raise EstimationError(f"{returns.name}: {estimate.reason}")
         return cls(returns, start, end, at, np.asarray(twist, float), estimate)
 

@@ -64,7 +64,7 @@ def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: 
         biases: whether to keep what tells the biases of the LiDAR's rings: a few kilobytes for each sighting.
     """
     scan, sweep = keyframe.scan, keyframe.sweep
-    T_odometry_lidar = None if sweep is None else sweep.T_odometry_lidar
+    T_odometry_lidar = keyframe.T_odometry_lidar
     moving = sweep is not None and scan.time is not None and bool((np.abs(sweep.twist) > SLOW).any())
     straight = deskew(scan, sweep) if sweep is not None and moving else scan
     try:
@@ -77,9 +77,9 @@ def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: 
         if detection.rival is not None and detection.status == "ambiguous":
             continue  # which target it is, is not known
         fired, returns = scan.select(detection.indices), straight.select(detection.indices)
-        if sweep is not None and moving and _lifted(fired, returns) > OFF_ITS_RING:
+        if sweep is not None and moving and (_lifted(fired, returns) > OFF_ITS_RING or not detection.estimate.usable):
             seen = _moving_sighting(fired, detection.target, sweep, name, shapes, biases)
-        elif detection.estimate.status != "failed":
+        elif detection.estimate.usable:
             seen = _sighting(detection.estimate, returns, name, shapes, biases)
             if sweep is not None:
                 seen = seen.moved(np.eye(4), _uncertainty(fired, sweep))
@@ -122,7 +122,7 @@ def _moving_sighting(
         estimate, at = estimate_moving(returns, target, sweep)
     except EstimationError:
         return None
-    if estimate.status == "failed":
+    if not estimate.usable:
         return None
     sighting = _sighting(estimate, deskew(returns, sweep, at), name, shapes, biases)
     return sighting.moved(sweep.between(0.0, at), sweep.uncertainty(0.0, at))

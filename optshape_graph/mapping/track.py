@@ -10,12 +10,22 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.factors import BiasedMeasurement, ShapeMeasurement, Summary, TemplateMeasurement, summarise
+from optshape_graph.factors import (
+    BiasedMeasurement,
+    ShapeMeasurement,
+    Summary,
+    TemplateMeasurement,
+    summarise,
+)
+from optshape_graph.factors.static import ELEVATION, RANGE_BIAS
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.se3 import as_transform, inverse
 from optshape_graph.target import Target
+
+OF_RINGS = (RANGE_BIAS, ELEVATION)
+"""Kinds of errors that the rings of a LiDAR keep from scan to scan."""
 
 LOOSEST = 10.0
 """Standard deviation, rad or metres, beyond which a measurement does not determine a pose."""
@@ -70,10 +80,10 @@ class Sighting(Value):
             biases: whether to keep `biased`, so that a batch can tell what all scans have in common: some kilobytes.
 
         Raises:
-            InputError: the estimate failed.
+            InputError: the estimate failed or is doubtful.
         """
-        if estimate.status == "failed":
-            raise InputError(f"the estimate of target '{estimate.target.name}' failed ({estimate.reason})")
+        if not estimate.usable:
+            raise InputError(f"the estimate of target '{estimate.target.name}' is {estimate.status}: {estimate.reason}")
         best = estimate.measurement
         measurements: tuple[TemplateMeasurement, ...] = (best,)
         other = estimate.ambiguity.T_lidar_target
@@ -257,13 +267,15 @@ class MappingProblem(Value):
 
 
 def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
-    """What the estimate's returns say before ring biases are marginalised; the offset at edges is of one scan.
+    """What the estimate's returns say before errors that the LiDAR's rings keep are marginalised.
 
-    It is as wide as the measurement, which is wider where associations disagree.
+    Others are of one scan: where the target ends between two rings, and how far in the returns at edges lie. It is as
+    wide as the measurement, which is wider where associations disagree, and takes elevations to be exact.
     """
     if estimate.shared is None:
         return None
-    biased = estimate.shared.without([error for error in estimate.shared.shared if error.ring is None])
-    own = np.trace(biased.marginal(1.0).information(estimate.T_target_lidar))
+    biased = estimate.shared.without([e for e in estimate.shared.shared if e.kind not in OF_RINGS or e.ring is None])
+    alone = biased.marginal([float(error.kind != ELEVATION) for error in biased.shared])
+    own = np.trace(alone.information(estimate.T_target_lidar))
     scale = float(np.sqrt(np.trace(estimate.measurement.information()) / own))
     return replace(biased, stack=biased.stack * min(scale, 1.0))

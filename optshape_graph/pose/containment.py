@@ -18,22 +18,31 @@ from itertools import combinations
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Value
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import refine, template_rows
 from optshape_graph.factors.static import RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.gaussian import ndtr
 from optshape_graph.pose.association import ReturnsPlane, fit_plane, in_plane_poses
+from optshape_graph.pose.fit import Evidence, Flag
 from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
+from optshape_graph.pose.propagation import Problem
 from optshape_graph.pose.result import Ambiguity, Finding
+from optshape_graph.pose.surface import PlaneResiduals, as_seen, displaced, find_surface
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
 BANDS = (4, 16, 64, 256)
 """Into how many bands of elevation the returns are cut, at each of several scales, each band with a range bias."""
+
+JUDGED = 64
+"""Bands of elevation that stand for rings where the surface is judged."""
+
+MIRRORED = 5.0
+"""Log likelihood by which the mirror image must fit better to be believed: as much as `ambiguity_margin`."""
 
 REACH = 3.0
 """Standard deviations of the beam by which a return may lie outside where poses are looked for."""
@@ -53,7 +62,9 @@ def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Fin
     """
     # What was measured: all returns against a plane near the target's, and where they are in it.
     plane = fit_plane(scan.points, None)
-    returns = _with_biases(returns_on_plane(scan, plane.axes[0], plane.distance, options=options), scan)
+    returns = returns_on_plane(scan, plane.axes[0], plane.distance, options=options)
+    off_plane = PlaneResiduals.of(returns, plane, target, _band(scan, JUDGED))
+    shape = find_surface(off_plane)
     q = ((returns.points - plane.centre) @ plane.axes.T)[:, 1:]
 
     # Every connected set of poses that contain them, the likeliest first.
@@ -65,14 +76,18 @@ def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Fin
     poses = in_plane_poses(np.array([one.mean[0] for one in sets]), np.array([one.mean[1:] for one in sets]), plane)
 
     # The likeliest set and the plane in one measurement, at its minimum.
-    shared = _outline_measurement(best, plane) + plane_measurement(returns)
-    measurement = shared.marginal(1.0).at(poses[0])
+    seen = as_seen(_with_biases(returns, scan), off_plane)
+    shared = _outline_measurement(best, plane) + plane_measurement(seen)
+    exact = shared.marginal(1.0)
+    T_target_lidar = refine(exact.at(poses[0]))
+    shared = displaced(shared, shape, off_plane, target, T_target_lidar)
     margin, rival = (np.inf, None) if len(sets) == 1 else (best.log_mass - sets[1].log_mass, inverse(poses[1]))
     outside = target.outside_distance(q @ _turn(best.mean[0]).T + best.mean[1:]) > REACH * (beam.sigma + beam.offset)
     return Finding(
         target=target,
         returns=scan,
-        measurement=measurement.at(refine(measurement)),
+        measurement=shared.marginal(1.0).at(T_target_lidar),
+        exact=exact,
         shared=shared,
         total_weight=float((1 / returns.sigma**2).sum() + np.trace(np.linalg.inv(best.covariance[1:, 1:]))),
         ambiguity=Ambiguity(margin, rival),
@@ -82,10 +97,30 @@ def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Fin
         inset=np.zeros(0),
         edge_sigma=np.zeros(0),
         edge_residuals=np.zeros(0),
+        evidence=Evidence(
+            scan,
+            Problem(EdgePoints.none(), target, np.zeros((13, 13)), EdgeNoise.of(scan.sensor, options)),
+            off_plane,
+            shape,
+            ends=None,
+            angular_noise=0.0,
+            tilt=None,
+            own=_mirrored(q, beam, target, best.log_mass),
+        ),
         objection=""
         if outside.mean() <= options.max_outside
         else f"{outside.mean():.0%} of the returns lie outside the outline: not this target, or returns are mixed",
     )
+
+
+def _mirrored(q: Floats, beam: Beam, target: Target, log_mass: float) -> tuple[Flag, ...]:
+    """Say whether the target's mirror image contains the returns better: it is hung with its back to the front."""
+    sets = containing_poses(q * [-1.0, 1.0], beam, target)
+    excess = sets[0].log_mass - log_mass if sets else 0.0
+    return (
+        Flag("mirrored", excess / MIRRORED,
+             f"the mirror image of the target fits better (log likelihood {excess:.1f}): it is hung back to front"),
+    )  # fmt: skip
 
 
 def _with_biases(returns: PlaneReturns, scan: Scan) -> PlaneReturns:
@@ -99,12 +134,19 @@ def _with_biases(returns: PlaneReturns, scan: Scan) -> PlaneReturns:
     lowest, extent = float(elevation.min()), max(float(np.ptp(elevation)), 1e-9)
     columns, errors = [returns.bias], [*returns.errors]
     for count in BANDS:
-        band = np.minimum(((elevation - lowest) / extent * count).astype(int), count - 1)
+        band = _band(scan, count)
         found = np.unique(band)
         columns.append(returns.bias * (band[:, None] == found) / np.sqrt(len(BANDS)))
         limits = lowest + extent * np.column_stack([found, found + 1]) / count
         errors += [SharedError(RANGE_BIAS, band=(low, high)) for low, high in limits.tolist()]
     return replace(returns, bias=np.hstack(columns), errors=tuple(errors))
+
+
+def _band(scan: Scan, count: int) -> Ints:
+    """(N,) band of elevation of each return, of so many that are equally wide."""
+    elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
+    fraction = (elevation - elevation.min()) / max(float(np.ptp(elevation)), 1e-9)
+    return np.asarray(np.minimum((fraction * count).astype(np.int64), count - 1))
 
 
 def _outline_measurement(best: Containment, plane: ReturnsPlane) -> BiasedMeasurement:

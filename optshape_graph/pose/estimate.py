@@ -10,11 +10,12 @@ from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
 from optshape_graph.pose.certificate import Backend, certify
 from optshape_graph.pose.containment import find_by_containment
+from optshape_graph.pose.fit import Fit, measure_fit
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.paper import find_as_paper
 from optshape_graph.pose.result import Finding, PoseEstimate, Status
 from optshape_graph.pose.rings import find_by_rings
-from optshape_graph.scan import Scan
+from optshape_graph.scan import Scan, without_duplicates
 from optshape_graph.se3 import inverse, inverse_covariance
 from optshape_graph.target import Target
 
@@ -55,16 +56,17 @@ def estimate_pose(
     for name, value, choices in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
         if value not in choices:
             raise InputError(f"{name} is {value!r}; expected one of {', '.join(map(repr, choices))}")
+    scan, duplicates = without_duplicates(scan)
     if method == "paper":
         found = find_as_paper(scan, target, backend)
     elif scan.ring is None:
         found = find_by_containment(scan, target, options)
     else:
         found = find_by_rings(scan, target, options)
-    return conclude(found, backend, options)
+    return conclude(found, duplicates, backend, options)
 
 
-def conclude(found: Finding, backend: Backend, options: PoseOptions) -> PoseEstimate:
+def conclude(found: Finding, duplicates: int, backend: Backend, options: PoseOptions) -> PoseEstimate:
     """Certify what was found, judge it, and make the record: the same for every method."""
     measurement = found.measurement
     T_target_lidar = measurement.T_target_lidar
@@ -72,7 +74,8 @@ def conclude(found: Finding, backend: Backend, options: PoseOptions) -> PoseEsti
     information = measurement.information() + 1e-9 * np.eye(6)
     covariance = inverse_covariance(T_target_lidar, np.linalg.inv(information))
     unobservable = unobservable_directions(covariance, found.target.circumradius, options.unobservable_sd)
-    status, reason = _verdict(found, unobservable, options)
+    fit = measure_fit(found.evidence, T_target_lidar, duplicates)
+    status, reason = _verdict(found, fit, unobservable, options)
     off_plane = found.returns.points @ T_target_lidar[0, :3] + T_target_lidar[0, 3]
     return PoseEstimate(
         target=found.target,
@@ -82,7 +85,7 @@ def conclude(found: Finding, backend: Backend, options: PoseOptions) -> PoseEsti
         reason=reason,
         measurement=measurement,
         shared=found.shared,
-        certificate=certify(measurement, T_target_lidar, found.total_weight, backend, options.certified_gap),
+        certificate=certify(found.exact, T_target_lidar, found.total_weight, backend, options.certified_gap),
         ambiguity=found.ambiguity,
         log_likelihood=found.log_likelihood,
         edge_points=found.edge_points,
@@ -93,16 +96,19 @@ def conclude(found: Finding, backend: Backend, options: PoseOptions) -> PoseEsti
         plane_rms=float(np.sqrt(np.mean(off_plane**2))),
         n_returns=len(found.returns),
         unobservable=unobservable,
+        fit=fit,
         scan=found.returns.name,
     )
 
 
-def _verdict(found: Finding, unobservable: tuple[str, ...], options: PoseOptions) -> tuple[Status, str]:
+def _verdict(found: Finding, fit: Fit, unobservable: tuple[str, ...], options: PoseOptions) -> tuple[Status, str]:
     """Status and reason, the weightiest first."""
     if found.objection:
         return "failed", found.objection
     if unobservable:
         return "failed", "not observable: " + "; ".join(unobservable)
+    if fit.flags:
+        return "doubtful", fit.reason
     if found.ambiguity.margin < options.ambiguity_margin:
         margin = found.ambiguity.margin
         return "ambiguous", f"a different pose is only {margin:.2g} less likely (log likelihood)"

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Value
-from optshape_graph.factors.measurement import template_rows
-from optshape_graph.factors.static import RANGE_BIAS, BiasedMeasurement, SharedError
+from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph.edges import upward
+from optshape_graph.factors.measurement import TemplateMeasurement, template_rows
+from optshape_graph.factors.static import ELEVATION, RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
@@ -123,6 +124,29 @@ class PlaneReturns(Value):
     bias: Floats
     coupling: Floats
 
+    def select(self, mask: Bools) -> PlaneReturns:
+        """Return some of them, of a mask (N,)."""
+        rows = {name: getattr(self, name)[mask] for name in ("points", "offset", "sigma", "bias", "coupling")}
+        return replace(self, **rows)
+
+    def with_elevations(self, normal: Floats, ring: Ints, sigma: float) -> PlaneReturns:
+        """Return them with an error of each ring's elevation, of a standard deviation in rad.
+
+        Args:
+            normal: (3,) unit normal of the plane, LiDAR frame.
+            ring: (N,) of each return.
+            sigma: rad.
+        """
+        rings, column = np.unique(ring, return_inverse=True)
+        moved = np.zeros((len(ring), len(rings)))
+        moved[np.arange(len(ring)), column] = sigma * (upward(self.points) @ normal) / self.sigma
+        errors = (*self.errors, *(SharedError(ELEVATION, ring=int(k)) for k in rings))
+        return replace(self, errors=errors, bias=np.hstack([self.bias, moved]))
+
+    def widened(self, noise: float, bias: float) -> PlaneReturns:
+        """Return them with noise and biases that are so many times as large."""
+        return replace(self, sigma=noise * self.sigma, bias=bias / noise * self.bias)
+
 
 def returns_on_plane(
     scan: Scan, normal: Floats, distance: float, azimuth_noise: float = 0.0, options: PoseOptions = PoseOptions()
@@ -166,3 +190,11 @@ def plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
     mean[:, 9:] = 0.0
     r = r - A @ np.linalg.lstsq(A.T @ A, (mean / returns.sigma[:, None] ** 2).sum(axis=0), rcond=1e-12)[0]
     return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4), returns.errors)
+
+
+def one_scan(shared: BiasedMeasurement) -> TemplateMeasurement:
+    """Return the measurement of one scan alone: the elevations of its rings count as exact.
+
+    What an error of theirs does to one scan is within what its ring ends scatter; of many it would be the mean's error.
+    """
+    return shared.marginal([float(error.kind != ELEVATION) for error in shared.shared])

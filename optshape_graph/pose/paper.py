@@ -16,6 +16,9 @@ from optshape_graph.edges import extract_edge_points
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import TemplateMeasurement, edge_rows, plane_rows
 from optshape_graph.pose.certificate import Backend, solve_relaxation
+from optshape_graph.pose.fit import Evidence
+from optshape_graph.pose.noise import EdgeNoise
+from optshape_graph.pose.propagation import Problem
 from optshape_graph.pose.result import Ambiguity, Finding
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import apply, difference, transform
@@ -48,6 +51,7 @@ def find_as_paper(scan: Scan, target: Target, backend: Backend) -> Finding:
         target=target,
         returns=scan,
         measurement=measurement,
+        exact=measurement,
         shared=None,
         total_weight=measurement.n_rows / sigma**2,
         ambiguity=Ambiguity(np.inf, None),
@@ -56,6 +60,9 @@ def find_as_paper(scan: Scan, target: Target, backend: Backend) -> Finding:
         labels=labels,
         inset=np.zeros(len(edges)),
         edge_sigma=np.full(len(edges), sigma),
+        evidence=Evidence.of_rings(
+            scan, Problem(edges, target, np.zeros((13, 13)), EdgeNoise.of(scan.sensor)), T, labels
+        ),
         edge_residuals=(target.normals[labels] * moved[:, 1:]).sum(axis=1) - target.offsets[labels],
     )
 

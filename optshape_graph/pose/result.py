@@ -15,11 +15,12 @@ from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.io.records import to_record
 from optshape_graph.io.results import RECORD, Result, Row, one_scan
 from optshape_graph.pose.certificate import Certificate
+from optshape_graph.pose.fit import Evidence, Fit
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, apply, inverse, inverse_covariance, skew
 from optshape_graph.target import Target
 
-Status = Literal["ok", "ambiguous", "failed"]
+Status = Literal["ok", "doubtful", "ambiguous", "failed"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,6 +44,7 @@ class Finding(Value):
         target: the template.
         returns: on the target, angles put right.
         measurement: all whitened residuals, compressed, taken at the pose that was found.
+        exact: the same for a target without a surface of its own, which has its minimum there too: what is certified.
         shared: the same before the errors that scans of one static scene share are marginalised, or None.
         total_weight: sum over the residuals of 1 / sigma^2, 1/m2.
         ambiguity: margin to the best different pose.
@@ -52,12 +54,14 @@ class Finding(Value):
         inset: (M,) azimuth by which the boundary is taken to lie beyond each, rad.
         edge_sigma: (M,) standard deviation of each edge residual, metres.
         edge_residuals: (M,) distance of each boundary point from its edge, metres, positive outside.
+        evidence: what the fit is judged by.
         objection: why the returns are not this target's, in words; empty where they are.
     """
 
     target: Target
     returns: Scan
     measurement: TemplateMeasurement
+    exact: TemplateMeasurement
     shared: BiasedMeasurement | None
     total_weight: float
     ambiguity: Ambiguity
@@ -67,6 +71,7 @@ class Finding(Value):
     inset: Floats
     edge_sigma: Floats
     edge_residuals: Floats
+    evidence: Evidence
     objection: str = ""
 
 
@@ -78,7 +83,8 @@ class PoseEstimate(Result):
         target: the template.
         T_lidar_target: (4, 4).
         covariance: (6, 6) of the right perturbation of T_lidar_target: rotation first, in the target's frame.
-        status: "ok"; "ambiguous" where a different pose is not ruled out; "failed" where it is not to be used.
+        status: "ok"; "doubtful" where the returns do not fit the model; "ambiguous" where a different pose is not ruled
+            out; "failed" where it is not to be used.
         reason: why not "ok", else empty.
         measurement: all whitened residuals, compressed: what factors are made of.
         shared: the same before the errors that scans of one static scene share (ring biases, edge offset) are
@@ -95,6 +101,7 @@ class PoseEstimate(Result):
         plane_rms: root mean square distance of the returns from the target's plane, metres.
         n_returns: number of returns.
         unobservable: directions, in the target's frame, that the scan does not determine.
+        fit: how well the returns fit the model, and what was widened for it.
         scan: name of the scan.
     """
 
@@ -118,12 +125,18 @@ class PoseEstimate(Result):
     plane_rms: float
     n_returns: int
     unobservable: tuple[str, ...]
+    fit: Fit
     scan: str
 
     def __post_init__(self) -> None:
         for field in ("T_lidar_target", "covariance", "inset", "edge_sigma", "edge_residuals"):
             object.__setattr__(self, field, frozen(getattr(self, field)))
         object.__setattr__(self, "labels", frozen(self.labels, np.int64))
+
+    @property
+    def usable(self) -> bool:
+        """Whether factors may be made of it: neither failed nor doubtful. An ambiguous one has a rival beside it."""
+        return self.status not in ("failed", "doubtful")
 
     @property
     def T_target_lidar(self) -> Floats:
@@ -237,6 +250,7 @@ class PoseEstimate(Result):
             "labels": self.labels.tolist(),
             "edge_points": self.edge_points.points.tolist(),
             "n_returns": self.n_returns,
+            "fit": self.fit.to_dict(),
         }
 
     def rows(self) -> list[Row]:
@@ -246,7 +260,8 @@ class PoseEstimate(Result):
             {
                 "scan": self.scan, "target": self.target.name, "status": self.status, "x_m": x, "y_m": y, "z_m": z,
                 "sd_mm": 1e3 * self.sigma_m, "sd_deg": float(np.degrees(self.sigma_rad)),
-                "certified": self.certificate.certified, "margin": self.ambiguity.margin, "returns": self.n_returns,
+                "certified": self.certificate.certified, "margin": self.ambiguity.margin, "fit": self.fit.summary,
+                "returns": self.n_returns,
             }
         ]  # fmt: skip
 
@@ -277,6 +292,6 @@ def failed_entry(scan: str, target: str, reason: str) -> dict[str, Any]:
     """
     empty = dict.fromkeys(
         ["T_lidar_target", "covariance", "vertices", "certificate", "ambiguity", "equivalent_poses", "inset_rad",
-         "labels", "edge_points", "n_returns"]
+         "labels", "edge_points", "n_returns", "fit"]
     )  # fmt: skip
     return {"scan": scan, "target": target, "status": "failed", "reason": reason, **empty}

@@ -13,18 +13,29 @@ from dataclasses import replace
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.edges import EdgePoints, extract_edge_points, with_top_and_bottom
-from optshape_graph.factors.measurement import TemplateMeasurement, refine, template_rows
-from optshape_graph.factors.static import EDGE_OFFSET, BiasedMeasurement, SharedError
+from optshape_graph.edges import UP, EdgePoints, extract_edge_points, upward, with_top_and_bottom
+from optshape_graph.factors.measurement import refine, template_rows
+from optshape_graph.factors.static import (
+    EDGE_OFFSET,
+    ELEVATION,
+    OUTER_EDGE,
+    STRAIN,
+    BiasedMeasurement,
+    SharedError,
+)
 from optshape_graph.pose.association import enumerate_poses, fit_plane
 from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
+from optshape_graph.pose.fit import Evidence
 from optshape_graph.pose.modes import Modes, compare_modes, rank
-from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
+from optshape_graph.pose.noise import EdgeNoise, one_scan, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
+from optshape_graph.pose.outline import Ends, fit_ends, strain_columns, tilt_of_rings
 from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry
 from optshape_graph.pose.result import Ambiguity, Finding
+from optshape_graph.pose.surface import PlaneResiduals, as_seen, displaced, find_surface
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import difference, inverse
+from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 
@@ -35,31 +46,42 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         EstimationError: the returns determine no pose at all.
     """
     # What was measured: ring ends on the grid of firings, and all returns against a plane near the target's.
-    scan, angular_noise = level_rings(scan)
-    edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
+    levelled, angular_noise = level_rings(scan)
+    edges = place_on_firings(extract_edge_points(levelled), levelled, angular_noise)
+    assert scan.ring is not None
+    ring, tilt, scan = scan.ring, tilt_of_rings(scan), levelled
     plane = fit_plane(scan.points, scan.ring)
     returns = returns_on_plane(scan, plane.axes[0], plane.distance, angular_noise, options)
-    on_plane = plane_measurement(returns)
+    off_plane = PlaneResiduals.of(returns, plane, target, ring)
+    shape = find_surface(off_plane)
+    elevation_error = scan.sensor.elevation_error if scan.sensor else SensorModel.elevation_error
+    seen = as_seen(returns, off_plane).with_elevations(plane.axes[0], ring[off_plane.usual], elevation_error)
+    on_plane = plane_measurement(seen)
     bounded = edges if angular_noise else _bounded(edges, scan)
-    problem = Problem(bounded, target, on_plane.marginal(1.0).quadratic(), EdgeNoise.of(scan.sensor, options))
+    problem = Problem(bounded, target, one_scan(on_plane).quadratic(), EdgeNoise.of(scan.sensor, options))
 
     # Every association, the posterior under each, and the best mode against the next.
     starts = _upright(enumerate_poses(edges, plane, target), target)
     modes = compare_modes(rank(problem, starts, scan, edges), problem, scan, edges)
 
     # The best mode in one measurement, at its minimum.
-    on_edges, edge_weight = _edge_measurement(problem, modes)
+    best, n = modes.candidates.select(slice(0, 1)), len(edges)
+    of_ends = replace(problem, edges=edges)
+    ends = fit_ends(of_ends, best.T_target_lidar[0], best.geometry.labels[0, :n])
+    on_edges, edge_weight = _edge_measurement(problem, modes, ends, elevation_error)
     shared = on_edges + on_plane
-    measurement = shared.marginal(1.0)
-    measurement = _widen(measurement.at(refine(measurement)), modes)
+    exact = one_scan(shared)
+    T_target_lidar = refine(exact)
+    shared = _widened(displaced(shared, shape, off_plane, target, T_target_lidar), T_target_lidar, modes)
+    measurement = one_scan(shared).at(T_target_lidar)
 
     # How the ring ends lie about the edges there.
-    best, n = modes.candidates.select(slice(0, 1)), len(edges)
     final = edge_geometry(problem, measurement.T_target_lidar[None], best.geometry.labels)
     return Finding(
         target=target,
         returns=scan,
         measurement=measurement,
+        exact=exact,
         shared=shared,
         total_weight=edge_weight + float((1 / returns.sigma**2).sum()),
         ambiguity=Ambiguity(modes.margin, modes.rival),
@@ -69,6 +91,7 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         inset=best.inset[0, :n],
         edge_sigma=best.sigma[0, :n],
         edge_residuals=(final.residual[0] + best.inset[0] * final.along[0])[:n],
+        evidence=Evidence(scan, of_ends, off_plane, shape, ends, angular_noise, tilt),
         objection=_objection(problem, final, float(best.offset[0]), options.min_explained),
     )
 
@@ -89,8 +112,13 @@ def _upright(T: Floats, target: Target) -> Floats:
     return np.asarray(turned[np.arange(len(T)), turned[:, :, 2, 2].argmax(axis=1)])
 
 
-def _edge_measurement(problem: Problem, modes: Modes) -> tuple[BiasedMeasurement, float]:
-    """Boundary points against their edges, before the offset that they share is marginalised; and their weight.
+def _edge_measurement(
+    problem: Problem, modes: Modes, ends: Ends, elevation_error: float
+) -> tuple[BiasedMeasurement, float]:
+    """Boundary points against their edges, before what they share is marginalised; and their weight.
+
+    They share the offset across the edges, and the strains of an outline that isn't as drawn, as large as are seen;
+    those of a ring its elevation's error. Ends that scatter more than they should count less.
 
     Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely
     take part: a weighted mean of their costs is a cost of the same form. Its minimum is near the mixture's mean where
@@ -104,6 +132,7 @@ def _edge_measurement(problem: Problem, modes: Modes) -> tuple[BiasedMeasurement
     mean = np.einsum("c,cij->ij", weight, covariance)
     weight = weight / np.trace(np.linalg.solve(covariance, mean), axis1=1, axis2=2)
     weight /= weight.sum()
+    rings, outside = np.unique(problem.edges.ring), np.abs(problem.edges.side) == UP
     rows, total = [], 0.0
     for k in np.flatnonzero(weight):
         one = posterior.select(slice(k, k + 1))
@@ -112,20 +141,44 @@ def _edge_measurement(problem: Problem, modes: Modes) -> tuple[BiasedMeasurement
         A, r = template_rows(
             boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]] + geometry.shift[0]
         )
+        own, outer = _outer_edges(problem.edges, sigma, geometry.own[0])
         offset = geometry.across[0] * problem.noise.COMMON
-        whitened = np.column_stack([offset, A, r]) / sigma[:, None]
-        shifts = _without_shifts(problem.ring_shifts * (geometry.along[0] / sigma)[:, None])
+        strains = ends.seen_strain * strain_columns(problem.target, geometry.labels[0], boundary, one.T_target_lidar[0])
+        up = (geometry.direction[0] * (upward(boundary) @ one.T_target_lidar[0, :3, :3].T)).sum(axis=1)
+        lifted = elevation_error * up[:, None] * (problem.edges.ring[:, None] == rings)
+        whitened = np.column_stack([offset, strains, outer, lifted, A, r]) / (ends.factor * own[:, None])
+        shifts = _without_shifts(problem.ring_shifts * (geometry.along[0] / own)[:, None])
         rows.append(np.sqrt(weight[k]) * shifts @ whitened)
-        total += float(weight[k] * (1 / sigma**2).sum())
+        total += float(weight[k] * (1 / (ends.factor * sigma) ** 2).sum())
     stack = np.vstack(rows)
     measurement = BiasedMeasurement.from_rows(
-        stack[:, 1:13],
-        stack[:, :1],
-        stack[:, 13],
+        stack[:, -13:-1],
+        stack[:, :-13],
+        stack[:, -1],
         posterior.T_target_lidar[0],
-        [SharedError(EDGE_OFFSET)],
+        [
+            *(SharedError(kind) for kind in (EDGE_OFFSET, *STRAIN)),
+            *(SharedError(OUTER_EDGE, ring=int(ring)) for ring in problem.edges.ring[outside]),
+            *(SharedError(ELEVATION, ring=int(ring)) for ring in rings),
+        ],
     )
     return replace(measurement, n_rows=len(problem.edges)), total
+
+
+def _outer_edges(edges: EdgePoints, sigma: Floats, own: Floats) -> tuple[Floats, Floats]:
+    """Split what is known of where the target ends before the next ring, the same in all scans of a static scene.
+
+    Args:
+        edges: ring ends, and returns of the highest and the lowest ring.
+        sigma: (M,) standard deviation of each, metres.
+        own: (M,) variance that each scan draws anew, square metres.
+
+    Returns:
+        (M,) the part of the standard deviations that is drawn anew, and (M, K) the part that is shared.
+    """
+    outside = np.abs(edges.side) == UP
+    new = np.where(outside, np.sqrt(np.clip(own, 1e-2 * sigma**2, sigma**2)), sigma)
+    return new, (np.eye(len(sigma)) * np.sqrt(np.maximum(sigma**2 - new**2, 0.0)))[:, outside]
 
 
 def _without_shifts(B: Floats) -> Floats:
@@ -135,8 +188,8 @@ def _without_shifts(B: Floats) -> Floats:
     return np.asarray(np.eye(len(B)) - (B * ((1 - 1 / np.sqrt(1 + square)) / square)) @ B.T)
 
 
-def _widen(measurement: TemplateMeasurement, modes: Modes) -> TemplateMeasurement:
-    """Scale the measurement down where associations of the best mode disagree about the pose.
+def _widened(shared: BiasedMeasurement, T_target_lidar: Floats, modes: Modes) -> BiasedMeasurement:
+    """Scale a measurement down where associations of the best mode disagree about the pose.
 
     The covariance of the mixture about the estimate, averaged over directions, is the measurement's own times a
     factor of at least 1.
@@ -144,13 +197,11 @@ def _widen(measurement: TemplateMeasurement, modes: Modes) -> TemplateMeasuremen
     weight, posterior = modes.weights, modes.candidates
     rows = np.flatnonzero(weight)
     if len(rows) == 1:
-        return measurement
-    xi = difference(measurement.T_target_lidar, posterior.T_target_lidar[rows])
+        return shared
+    xi = difference(T_target_lidar, posterior.T_target_lidar[rows])
     second_moment = np.einsum("c,cij->ij", weight[rows], posterior.covariance[rows] + xi[:, :, None] * xi[:, None, :])
-    factor = max(1.0, float(np.trace(measurement.information() @ second_moment)) / 6.0)
-    return TemplateMeasurement.from_stack(
-        measurement.stack / np.sqrt(factor), measurement.n_rows, measurement.T_target_lidar
-    )
+    factor = max(1.0, float(np.trace(one_scan(shared).information(T_target_lidar) @ second_moment)) / 6.0)
+    return replace(shared, stack=shared.stack / np.sqrt(factor))
 
 
 def _objection(problem: Problem, geometry: EdgeGeometry, offset: float, min_explained: float) -> str:

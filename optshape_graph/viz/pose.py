@@ -323,5 +323,5 @@ def _title(scan: Scan, estimate: PoseEstimate) -> str:
     distance, rings = float(np.linalg.norm(estimate.T_lidar_target[:3, 3])), estimate.edge_points.n_rings
     return (
         f"{short(scan.name)}: '{literal(estimate.target.name)}' at {distance:.2f} m, {estimate.status}; "
-        f"{estimate.n_returns} returns {f'on {rings} rings' if rings else 'without rings'}"
+        f"{estimate.n_returns} returns {f'on {rings} rings' if rings else 'without rings'}\nfit: {estimate.fit.summary}"
     )

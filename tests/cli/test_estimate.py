@@ -17,7 +17,7 @@ from tests.pose.rosettes import rosette
 
 KEYS = {
     "scan", "target", "status", "reason", "T_lidar_target", "covariance", "vertices", "certificate", "ambiguity",
-    "equivalent_poses", "inset_rad", "labels", "edge_points", "n_returns",
+    "equivalent_poses", "inset_rad", "labels", "edge_points", "n_returns", "fit",
 }  # fmt: skip
 
 

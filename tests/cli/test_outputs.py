@@ -29,7 +29,7 @@ RUNS: dict[str, tuple[str, set[str]]] = {
         {"detect"},
     ),
     "calibrate mocap": ("calibrate mocap {session} --estimate-scale --json {out}/a.json", {"mocap"}),
-    "calibrate camera": ("calibrate camera {camera} --use-target-points --json {out}/a.json", {"camera"}),
+    "calibrate camera": ("calibrate camera {camera} --use-target-points --json {out}/a.json", {"camera-calibration"}),
     "design optimise": (
         "design optimise --starts 1 --rings 1 3 --area 0.5 --sides 3 -o {out}/a.yaml", {"target", "design-start"},
     ),
@@ -51,6 +51,7 @@ RUNS: dict[str, tuple[str, set[str]]] = {
     ),
     "evaluate mocap": ("evaluate mocap {demo} --json {out}/a.json -o {out}/tables", {"mocap-evaluation"}),
     "demo": ("demo -o {out}", {"mocap"}),
+    "info": ("info {session} {bag} {scene_file} --json {out}/a.json", {"info"}),
     "doctor": ("doctor --json {out}/a.json", {"doctor"}),
 }  # fmt: skip
 """A run of every command: its arguments, and the forms that it must have written."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -18,8 +18,9 @@ from optshape_graph.calibration.camera.factors import (
     as_vector,
     coupling_factor,
 )
-from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan
+from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.camera.uncertainty import Uncertainty, uncertainty_of
+from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.factors import TemplateFactor
 from optshape_graph.se3 import adjoint, inverse
@@ -106,20 +107,26 @@ class CalibrationGraph:
         sightings: of all views.
         base: name of the base LiDAR.
         range_bias_sigma: prior standard deviation of each LiDAR's range bias, metres; 0: there is none.
-        refined: names of the cameras whose lens is refined.
+        refined: names of the cameras whose lens is a variable; of one with more than four distortion terms, focal
+            lengths and principal point are.
+        as_they_come: whether the clouds are to be fitted as they come, biases of the rings included.
     """
 
     def __init__(
-        self, sightings: Sequence[Sighting], base: str, range_bias_sigma: float, refined: Collection[str] = ()
+        self,
+        sightings: Sequence[Sighting],
+        base: str,
+        range_bias_sigma: float,
+        refined: Collection[str] = (),
+        as_they_come: bool = False,
     ) -> None:
         self._base, self._bias_sigma, self._refined, self._sightings = base, range_bias_sigma, refined, sightings
+        self._as_they_come = as_they_come
         self._sensors = list(dict.fromkeys([base, *(sighting.sensor for sighting in sightings)]))
         self._targets = list(dict.fromkeys(sighting.target for sighting in sightings))
         self._points: dict[tuple[str, bool, tuple[float, ...]], int] = {}
         self._cameras = {
-            s.sensor: CompiledCamera.of(s.seen.camera, s.sensor in refined)
-            for s in sightings
-            if isinstance(s.seen, TargetInImage)
+            s.sensor: CompiledCamera.of(s.seen.camera) for s in sightings if isinstance(s.seen, TargetInImage)
         }
         self._measured = [self._measurement_factors(number, sighting) for number, sighting in enumerate(sightings)]
 
@@ -165,7 +172,8 @@ class CalibrationGraph:
     def _measurement_factors(self, number: int, sighting: Sighting) -> list[gtsam.NonlinearFactor]:
         seen = sighting.seen
         if isinstance(seen, TargetInScan):
-            return [TemplateFactor(seen.measurement, L(number), inverse(sighting.S))]
+            measurement = seen.uncorrected if self._as_they_come else seen.measurement
+            return [TemplateFactor(measurement, L(number), inverse(sighting.S))]
         sensor = self._sensors.index(sighting.sensor)
         points = seen.points.relabelled(sighting.S)
         k_points = [self._point(sighting.target, points.printed, point) for point in points.points]
@@ -225,10 +233,11 @@ class CalibrationGraph:
                 noise = gtsam.noiseModel.Isotropic.Sigma(1, self._bias_sigma)
                 graph.push_back(gtsam.PriorFactorDouble(B(number), 0.0, noise))
             if K(number) in keys:
-                given = self._cameras[name].calibration
-                values.insert(K(number), CompiledCamera(start.cameras[name], False).calibration)
-                prior = getattr(gtsam, f"PriorFactor{type(given).__name__}")
-                graph.push_back(prior(K(number), given, gtsam.noiseModel.Diagonal.Sigmas(INTRINSICS_SIGMA)))
+                given = self._cameras[name]
+                values.insert(K(number), replace(given, intrinsics=start.cameras[name]).calibration)
+                prior = getattr(gtsam, f"PriorFactor{type(given.calibration).__name__}")
+                sigmas = INTRINSICS_SIGMA[: 5 if given.ideal else None]
+                graph.push_back(prior(K(number), given.calibration, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
 
     def _rig(self, values: gtsam.Values, start: Rig) -> Rig:
         T_base_sensor, range_bias, cameras = {self._base: np.eye(4)}, {}, dict(start.cameras)

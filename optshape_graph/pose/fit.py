@@ -1,0 +1,294 @@
+"""How well the returns fit the model, what was widened for it, and what else might explain them.
+
+A wrong model gives a precise wrong pose. Where the size of an error is seen and its direction isn't (noise, ring
+biases, a surface, ring ends that scatter), the covariance is widened, and the fit says by how much. Where another world
+explains the returns better (a raised frame, two revolutions, a cut field of view), the pose is doubtful, and the fit
+says which. Each limit stands beside its test: below it a pose that was widened still holds, and recordings of flat
+boards by sensors that are described by their files stay below it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from optshape_graph._arrays import Floats, Ints, Value
+from optshape_graph.pose.outline import Coverage, Ends, coverage, fit_ends, in_plane, outside_beams, tilt_of_rings
+from optshape_graph.pose.propagation import Problem
+from optshape_graph.pose.surface import PlaneResiduals, Surface, find_surface, gyration, rim_step, sheets
+from optshape_graph.scan import Scan
+
+RIM = 0.06
+"""Width of a frame, metres: those of boards and panels are 3 to 8 cm wide."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Flag(Value):
+    """Something that the model doesn't explain.
+
+    Attributes:
+        kind: one word or two, such as "surface".
+        excess: how many times its limit it is.
+        reason: what was seen, with its number, and the likeliest cause.
+    """
+
+    kind: str
+    excess: float
+    reason: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Value):
+    """How well the returns fit.
+
+    Attributes:
+        noise: standard deviation of ranges within rings that was used, metres: the scan's, or the file's if larger.
+        ring_bias: standard deviation of rings' biases that was used, metres, likewise.
+        noise_factor: it over the sensor file's.
+        bias_factor: it over the sensor file's.
+        edge_factor: what the standard deviations of ring ends were multiplied by.
+        plane_chi_square: of the returns' distances from the plane, whitened by the noise that was used.
+        plane_freedom: degrees of freedom of these.
+        edge_chi_square: of the ring ends.
+        edge_freedom: degrees of freedom of these.
+        surface: shape in the distances from the plane; its size widened the pose.
+        farthest_outside: of the returns, in beam widths beyond the outline.
+        share_outside: of the returns, more than a beam width beyond the outline.
+        missing_left: firings beyond the left ends of rings, inside the outline, that returned nothing.
+        missing_right: the same on the right.
+        missing_inside: between returns of a ring.
+        missing_rings: rings above and below that should have returned.
+        expected_returns: that the outline should have.
+        ring_tilt: rms variation of elevations with azimuth within rings, rad: 0 in the sensor's own frame.
+        duplicates: exact copies of returns that were dropped.
+        flags: what makes the pose doubtful, the largest excess first.
+        warnings: what was seen, widened for, and is unusual.
+    """
+
+    noise: float
+    ring_bias: float
+    noise_factor: float
+    bias_factor: float
+    edge_factor: float
+    plane_chi_square: float
+    plane_freedom: int
+    edge_chi_square: float
+    edge_freedom: int
+    surface: Surface
+    farthest_outside: float
+    share_outside: float
+    missing_left: float
+    missing_right: float
+    missing_inside: float
+    missing_rings: int
+    expected_returns: float | None
+    ring_tilt: float | None
+    duplicates: int
+    flags: tuple[Flag, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def summary(self) -> str:
+        """The worst of `flags` in a word or two; where there is none, chi-square per degree of freedom."""
+        if self.flags:
+            return self.flags[0].kind
+        parts = [(self.plane_chi_square, self.plane_freedom), (self.edge_chi_square, self.edge_freedom)]
+        return " / ".join(f"{square / freedom:.1f}" for square, freedom in parts if freedom)
+
+    @property
+    def reason(self) -> str:
+        """Why the pose is doubtful, the worst first; empty where it isn't."""
+        return "; ".join(flag.reason for flag in self.flags)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what `optshape/estimate` files hold under `fit`."""
+        plain = {name: value for name, value in vars(self).items() if name not in ("surface", "flags", "warnings")}
+        plain["summary"] = self.summary
+        surface = {"shape": self.surface.shape, "rms_m": self.surface.size, "probability": self.surface.probability}
+        flags = [vars(flag) for flag in self.flags]
+        return {**plain, "surface": surface, "flags": flags, "warnings": list(self.warnings)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Evidence(Value):
+    """What a fit is judged by.
+
+    Attributes:
+        scan: the returns, duplicates dropped.
+        problem: both ends of each ring (none without rings), the template, and the beam.
+        residuals: of the returns from their plane.
+        surface: what was found in them.
+        ends: ring ends against the outline; None without rings.
+        angular_noise: standard deviation of one azimuth, rad.
+        tilt: of elevations within rings, see `tilt_of_rings`; None without rings.
+        own: flags of tests that are the method's own.
+    """
+
+    scan: Scan
+    problem: Problem
+    residuals: PlaneResiduals
+    surface: Surface
+    ends: Ends | None
+    angular_noise: float
+    tilt: tuple[float, float] | None
+    own: tuple[Flag, ...] = ()
+
+    @classmethod
+    def of_rings(cls, scan: Scan, problem: Problem, T_target_lidar: Floats, labels: Ints) -> Evidence:
+        """Collect it for a pose that was found without it.
+
+        Args:
+            scan: the returns.
+            problem: ring ends, template and beam.
+            T_target_lidar: (4, 4).
+            labels: (M,) edge of each ring end.
+        """
+        residuals = PlaneResiduals.of_scan(scan, problem.target)
+        ends = fit_ends(problem, T_target_lidar, labels)
+        return cls(scan, problem, residuals, find_surface(residuals), ends, 0.0, tilt_of_rings(scan))
+
+
+def plane_flags(evidence: Evidence, T_target_lidar: Floats) -> list[Flag]:
+    """Ask the distances from the plane, whatever the outline."""
+    r, s = evidence.residuals, evidence.surface
+    radius = gyration(evidence.problem.target)
+    yz = in_plane(evidence.scan.points, T_target_lidar)
+    tilt = np.degrees(2 * s.size / radius)
+    off = float(np.mean(~r.usual))
+    p = evidence.scan.points
+    azimuth = np.angle((p[:, 0] + 1j * p[:, 1]) * np.conj(p[:, 0].sum() + 1j * p[:, 1].sum()))
+    two = sheets(r, azimuth)
+    order, outer = np.lexsort((azimuth, r.column)), np.zeros(len(p), dtype=bool)
+    ring = r.column[order]
+    for k in (1, 2):
+        differs = np.ones(len(p), dtype=bool)
+        differs[k:] = ring[k:] != ring[:-k]
+        outer[order] |= differs | np.append(differs[k:], np.ones(k, dtype=bool))
+    rim = evidence.problem.target.outside_distance(yz) > -RIM
+    step, chance = rim_step(r, rim, ~outer)
+    ends = np.abs(r.rest[evidence.problem.edges.index]) if len(evidence.problem.edges) else np.zeros(1)
+    scale = max(1.0, r.noise / 0.01)
+    far, near = ends > 0.06 * scale, ends > 0.03 * scale
+    mean = float(np.minimum(ends, 0.06 * scale).mean())
+    return [
+        Flag("surface", tilt / TILT_DEG * (s.probability < 1e-6),
+             f"the returns lie on a {s.shape} of {1e3 * s.size:.0f} mm rms, which leaves {tilt:.1f} deg of tilt open: "
+             "a target that isn't flat"),
+        Flag("raised frame", abs(step) / RIM_STEP * (chance < 10**-6.5),
+             f"returns within {100 * RIM:.0f} cm of the rim stand {1e3 * abs(step):.0f} mm "
+             f"{'in front' if step < 0 else 'behind'}: a raised frame"),
+        Flag("mixed ends", max(far.mean() / 0.07, near.mean() / 0.20, mean / scale / 0.020) * (near.sum() > 3),
+             f"{near.mean():.0%} of the ring ends lie more than {3 * scale:.0f} cm off their ring: mixed with the "
+             "background, or a frame"),
+        Flag("off the plane", off / OFF_PLANE,
+             f"{off:.0%} of the returns lie off the plane: something else is among them"),
+        Flag("two sheets", max(min(two.correlation / -0.25, two.score / -6.0),
+                               two.apart / SHEETS_APART * (two.probability < 1e-8)),
+             f"returns lie in two sheets{f' {2e3 * two.apart:.0f} mm apart' if two.apart else ''}: revolutions merged "
+             "while something moved"),
+    ]  # fmt: skip
+
+
+TILT_DEG = 3.5
+"""Tilt, deg, that a surface may leave open, as a standard deviation. The widening still holds at twice that; a pose
+that may be tilted by more is not what a user of "ok" expects. A board held in the hands leaves 2.5."""
+
+RIM_STEP = 0.012
+"""Step of the rim, metres: twice what a white border or a batten makes in recordings."""
+
+OFF_PLANE = 0.1
+"""Share of returns off the plane. In recordings 0.3 % are."""
+
+SHEETS_APART = 2.5e-3
+"""Rms of the distance of two revolutions from their mean, metres: range steps of real sensors are 2 to 4 mm."""
+
+
+def ring_flags(evidence: Evidence, ends: Ends, cover: Coverage) -> list[Flag]:
+    """Ask ring ends, returns outside and firings missing inside."""
+    chi, beyond, run = ends.clipped_mean_square, ends.share_beyond, ends.longest_run
+    missing, side = max((cover.missing_left, "left"), (cover.missing_right, "right"))
+    share = missing / max(cover.expected, 1.0)
+    outside = float(np.mean(cover.outside > 1.0))
+    count = int(np.count_nonzero(cover.outside > 1.0))
+    tilt, chance = evidence.tilt or (0.0, 1.0)
+    larger = -ends.offset / 4.4 if ends.offset < 0 else 0.0
+    smaller = ends.offset / 3.2 if ends.offset > 0 else 0.0
+    return [
+        Flag("edges", max(chi / 3.2 * (ends.probability < 1e-6), beyond / 0.25),
+             f"ring ends miss the edges by {np.sqrt(chi):.1f} standard deviations, {beyond:.0%} by more than 3: "
+             "another shape, a moving sensor, or mixed returns"),
+        Flag("strain", ends.strain / 0.015 * (ends.strain_probability < 10**-4.3),
+             f"the outline is stretched by {ends.strain:.1%}: a moving sensor, or a board that isn't as drawn"),
+        Flag("size", max(larger, smaller),
+             f"the outline is {'larger' if larger else 'smaller'} than the drawing by {abs(ends.offset):.1f} standard "
+             "deviations of what a beam's width allows: another size, or a board that blooms"),
+        Flag("run of ends", run / 2.9,
+             "neighbouring ring ends all lie on one side of their edge: a part is hidden, or the shape is another"),
+        Flag("cut", (cover.cut + 1) / 5.5,
+             f"{cover.cut} rings end at one azimuth inside the outline: the view is cut there"),
+        Flag("missing side", min(share / 0.04, missing / 6),
+             f"{missing:.0f} firings on the {side} returned nothing though the outline is there: the view is cut"),
+        Flag("missing rings", (cover.missing_rings + 1) / 2.5,
+             f"{cover.missing_rings} rings beyond those with returns should have hit: the view is cut, or hidden"),
+        Flag("outside", min(outside / 0.035, count / 4),
+             f"{outside:.0%} of the returns lie outside the outline by more than a beam: not all are this target's"),
+        Flag("frame", tilt / 3e-4 * (chance < 1e-6),
+             f"elevations vary by {np.degrees(tilt):.2f} deg within rings: points not in the sensor's own frame"),
+    ]  # fmt: skip
+
+
+def measure_fit(evidence: Evidence, T_target_lidar: Floats, duplicates: int) -> Fit:
+    """Say how well the returns fit.
+
+    Args:
+        evidence: what it is judged by.
+        T_target_lidar: (4, 4) the pose.
+        duplicates: exact copies of returns that were dropped.
+    """
+    scan, r, ends = evidence.scan, evidence.residuals, evidence.ends
+    normal = T_target_lidar[0, :3]
+    cosine = float(np.mean(np.abs(scan.points @ normal) / np.linalg.norm(scan.points, axis=1)))
+    plane = r.beyond(3, np.zeros((len(scan), 0)))
+    flags = [*plane_flags(evidence, T_target_lidar), *evidence.own]
+    if ends is not None:
+        cover = coverage(scan, evidence.problem, T_target_lidar, evidence.angular_noise)
+        flags += ring_flags(evidence, ends, cover)
+        outside, tilt = cover.outside, evidence.tilt[0] if evidence.tilt else None
+        missing = (cover.missing_left, cover.missing_right, cover.missing_inside)
+        rings, expected = cover.missing_rings, cover.expected
+    else:
+        outside = outside_beams(scan, evidence.problem, T_target_lidar, evidence.angular_noise)
+        tilt, missing, rings, expected = None, (0.0, 0.0, 0.0), 0, None
+    noise_factor, bias_factor = r.noise / r.file_noise, r.bias / r.file_bias
+    warnings = [
+        f"{what} is {factor:.1f} times the sensor file's"
+        for what, factor, limit in (("range noise", noise_factor, 2.8), ("ring bias", bias_factor, 4.0))
+        if factor > limit
+    ]
+    if expected and not 0.72 < len(scan) / expected < 1.35:
+        warnings.append(f"{len(scan)} returns where the outline should have {expected:.0f}")
+    return Fit(
+        noise=r.noise / cosine,
+        ring_bias=r.bias / cosine,
+        noise_factor=noise_factor,
+        bias_factor=bias_factor,
+        edge_factor=ends.factor if ends else 1.0,
+        plane_chi_square=float(plane.gram[-1, -1]) / r.noise**2,
+        plane_freedom=plane.freedom,
+        edge_chi_square=ends.chi_square if ends else 0.0,
+        edge_freedom=ends.freedom if ends else 0,
+        surface=evidence.surface,
+        farthest_outside=float(outside.max()),
+        share_outside=float(np.mean(outside > 1.0)),
+        missing_left=missing[0],
+        missing_right=missing[1],
+        missing_inside=missing[2],
+        missing_rings=rings,
+        expected_returns=expected,
+        ring_tilt=tilt,
+        duplicates=duplicates,
+        flags=tuple(sorted((flag for flag in flags if flag.excess > 1.0), key=lambda flag: -flag.excess)),
+        warnings=tuple(warnings),
+    )
