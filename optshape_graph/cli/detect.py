@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from optshape_graph.cli.estimate import drawn
+from optshape_graph.cli.html_report import report_option
 from optshape_graph.cli.options import FILE, columns_option, force_option, pool_options, sensor_option
 from optshape_graph.cli.plots import names_of, plot_option, save_picture
 
@@ -34,6 +35,7 @@ MOST_REJECTED = 3
               "in FILE.journal, from which the same command goes on.")  # fmt: skip
 @pool_options
 @force_option
+@report_option
 @plot_option("for every scan what was found in it, and the fit of every target found")
 def command(
     scans: tuple[str, ...],
@@ -43,6 +45,7 @@ def command(
     json_path: Path | None,
     pool: Pool | None,
     force: bool,
+    html: Path | None,
     plots: Path | None,
 ) -> int:
     """Find targets in each SCAN, a full revolution, and tell them apart by shape.
@@ -71,6 +74,7 @@ def command(
     paths = scan_paths(scans)
     outputs = Outputs([*paths, *targets, sensor], force=force)
     outputs.file("--json", json_path, "detect", bytes_needed=BYTES * len(paths))
+    outputs.file("--report", html)
     outputs.folder("--plot", plots)
     draw = Draw(plots, names_of(paths)) if plots else None
     detect = DetectFile(tuple(map(load_target, targets)), sensor_of(sensor, paths, columns), columns, draw)
@@ -84,10 +88,12 @@ def command(
             "T_lidar_target",
             ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "fit", "margin"],
             rows,
-            "score: 0 to 1. fit: chi-square per degree of freedom of plane / edges, or what makes a pose doubtful, or the "
-            "surface no target. "
+            "score: 0 to 1. fit: chi-square per degree of freedom of plane / edges, or what makes a pose doubtful, "
+            "or the surface no target. "
             "margin: log likelihood to the next of the targets asked for, where one fits as well.",
             json_path,
+            html,
+            "detect",
         )
 
 
