@@ -11,7 +11,6 @@ from optshape_graph.calibration.camera.export import kalibr_distortion
 from optshape_graph.calibration.camera.factors import OFFSET_SIGMA_M
 from optshape_graph.calibration.images.chessboard import shown_counts
 from optshape_graph.calibration.images.reading import read_grey
-from optshape_graph.calibration.images.tags import UPRIGHT
 from optshape_graph.errors import InputError
 from optshape_graph.io.sessions import Session
 from optshape_graph.target import Chessboard, Target
@@ -102,10 +101,8 @@ def _fits(target: Target, board: Chessboard) -> bool:
 
 def _check_tags(session: Session, target: Target) -> None:
     assert target.tags is not None
-    c, s = np.cos(target.tags.turn), np.sin(target.tags.turn)
-    corners = target.tags.size * UPRIGHT @ np.array([[c, s], [-s, c]])
-    for number, centre in target.tags.centres.items():
-        beyond = float(target.outside_distance(corners + np.asarray(centre)).max())
+    for number in target.tags.centres:
+        beyond = float(target.outside_distance(target.tags.corners(number)).max())
         if beyond > BEYOND_M:
             raise InputError(
                 f"{session.path}: tag {number} of target '{target.name}' reaches {1e3 * beyond:.0f} mm beyond its "
