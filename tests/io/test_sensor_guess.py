@@ -1,4 +1,4 @@
-"""The sensor that a cloud's elevations tell: every built-in one, recorded ones, and where several come into question."""
+"""The sensor that a cloud's elevations tell: built-in, recorded, and where several come into question."""
 
 from __future__ import annotations
 

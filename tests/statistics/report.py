@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -57,7 +58,7 @@ def calibration(rows: Sequence[Row]) -> list[Row]:
     """
     judged = [row for row in rows if "margin" in row and row["sd_deg"] < 15.0]
     lines = []
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+    for low, high in itertools.pairwise(BINS):
         inside = [row for row in judged if low <= max(row["margin"], 0.0) < high]
         wrong = sum(row["turn_deg"] > FLIPPED_DEG for row in inside)
         promised = np.array([1 / (1 + np.exp(min(row["margin"], 700.0))) for row in inside])

@@ -12,7 +12,7 @@ from optshape_graph.calibration.camera.result import CameraCalibration
 from optshape_graph.calibration.camera.sides import sides_in_images
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.free_shape import MeasuredShape
-from optshape_graph.calibration.verdict import Finding
+from optshape_graph.calibration.verdict import Finding, of_doubts
 from optshape_graph.edges import extract_edge_points
 
 FEW_VIEWS = 5
@@ -48,6 +48,7 @@ def judge(result: CameraCalibration, unknowns: Unknowns) -> tuple[Finding, ...]:
     scale = [] if len(result.lidars) > 1 or len(result.cameras) > 1 else _of_scale(result)
     return (
         *_of_views(result),
+        *of_doubts([view.view.scan.doubt for view in result.views if view.used and view.view.scan is not None]),
         *_of_bias(result, unknowns),
         *scale,
         *_of_edges(result),

@@ -102,7 +102,7 @@ def target_in_scan(
         EstimationError: no pose can be estimated, or it is not to be used.
     """
     estimate = estimate_pose(returns, target) if estimate is None else estimate
-    if not estimate.usable or estimate.shared is None:
+    if estimate.status == "failed" or estimate.shared is None:
         raise EstimationError(f"{returns.name}: {estimate.reason}")
     shared, shared_effect = _shared_errors(estimate)
     return TargetInScan(
@@ -115,6 +115,7 @@ def target_in_scan(
         shared=shared,
         shared_effect=shared_effect,
         edge_inset=estimate.inset_rad,
+        doubt=estimate.reason if estimate.status == "doubtful" else "",
         own=returns,
         all_returns=(scan or returns).points,
     )
@@ -216,7 +217,7 @@ def _detected(scan: Scan, lidar: str, targets: Mapping[str, Target]) -> dict[str
     detections = detect_targets(scan, list(named.values()))
     results: dict[str, ScanResult] = {}
     for name in targets:
-        found = [one for one in detections.found if one.target.name == name and one.estimate.usable]
+        found = [one for one in detections.found if one.target.name == name and one.estimate.status != "failed"]
         if found:
             best = max(found, key=lambda one: one.score)
             results[name] = target_in_scan(scan.select(best.indices), best.target, lidar, best.estimate, scan)

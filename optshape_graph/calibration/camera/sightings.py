@@ -30,6 +30,7 @@ class TargetInScan(Value):
         shared_effect: (6, k) right perturbation of the pose, rad and metres, by a standard deviation of each.
         edge_inset: median azimuth from a ring's last return to the target's edge, rad; the estimate lets it be what it
             is in each scan.
+        doubt: why the returns do not fit the target as they should, "" if they do; the other sightings judge the pose.
         own: the returns on the target.
         all_returns: (M, 3) every return of the scan, metres, for overlays.
     """
@@ -43,6 +44,7 @@ class TargetInScan(Value):
     shared: tuple[SharedError, ...]
     shared_effect: Floats
     edge_inset: float
+    doubt: str
     own: Scan
     all_returns: Floats
 
