@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.html_report import conclude, report_option
 from optshape_graph.cli.options import force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@report_option
 @plot_option("errors of the views, and for each its image with the returns and outlines", "--overlays")
 @click.option("--camchain", type=click.Path(path_type=Path), help="Write a Kalibr-style camchain to this file.")
 @click.option("--use-target-points", is_flag=True, help="Take the targets' returns from the views' manual crops.")
@@ -40,6 +43,7 @@ def command(
     allow_outside: bool,
     force: bool,
     json_path: Path | None,
+    html: Path | None,
     plots: Path | None,
     camchain: Path | None,
     use_target_points: bool,
@@ -64,6 +68,7 @@ def command(
     outputs = Outputs([session, *loaded.files()], force=force)
     outputs.file("--json", json_path, "camera-calibration")
     outputs.file("--camchain", camchain)
+    outputs.file("--report", html)
     outputs.folder("--plot", plots)
     if camchain:
         check_camchain(loaded)
@@ -80,17 +85,18 @@ def command(
     if camchain:
         write_yaml(camchain, kalibr_camchain(calibration))
     _print(calibration)
-    if plots:
+    pictures = Pictures(plots) if plots else None
+    if plots and pictures:
         from optshape_graph.viz.camera import plot_view_errors, save_overlays
 
-        pictures = Pictures(plots)
         pictures.save("errors", plot_view_errors(calibration))
         with progress_bar("overlays") as progress:
             pictures.paths += save_overlays(calibration, plots, progress)
         pictures.tell()
     for warning in calibration.warnings:
-        click.echo(f"optshape: warning: {warning}", err=True)
-    click.echo(f"The calibration is {calibration.verdict}.")
+        warn(f"warning: {warning}")
+    say(f"The calibration is {calibration.verdict}.")
+    conclude(calibration.to_dict(), html, pictures.paths if pictures else ())
     return 0 if calibration.trusted and all(result.used for result in calibration.views) else 3
 
 
@@ -121,7 +127,7 @@ def _print(calibration: CameraCalibration) -> None:
     )
     for result in calibration.views:
         if not result.used:
-            click.echo(f"optshape: not used: {result.view.name}: {result.reason}", err=True)
+            warn(f"not used: {result.view.name}: {result.reason}")
     for camera in calibration.cameras:
         for lidar in calibration.lidars:
             _print_pair(calibration, camera, lidar)
@@ -130,7 +136,7 @@ def _print(calibration: CameraCalibration) -> None:
             shape.joint.sides, np.sqrt(np.diag(shape.joint.sides_covariance)), shape.target.edge_lengths,
         )]  # fmt: skip
         verdict = "agrees with" if shape.agrees else "CONTRADICTS"
-        click.echo(
+        say(
             f"sides of {name} by {lidar}, vertices free: {numbers[0]} mm, sd {numbers[1]} (mostly common: the beam's "
             f"width); by its file: {numbers[2]}; single scans are off by {1e3 * shape.mean_absolute_error:.1f} mm on "
             f"average; that {verdict} the file"
@@ -162,14 +168,15 @@ def _print_pair(calibration: CameraCalibration, camera: str, lidar: str) -> None
         )  # fmt: skip
         _print_lens(calibration, camera)
     lines = static_transforms(lidar, camera, T_inverse)
-    click.echo("\n".join([lines["ros1"], lines["ros2"], f"URDF: {lines['urdf']}"]))
+    for line in (lines["ros1"], lines["ros2"], f"URDF: {lines['urdf']}"):
+        say(line)
     inset = np.degrees(calibration.edge_inset(lidar))
     lie = f"; its last returns lie {inset:.2f} deg inside the targets' edges" if np.isfinite(inset) else ""
-    click.echo(f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far){lie}")
-    click.echo(f"worst direction: {calibration.directions(lidar, camera)[0].text} (sd)")
+    say(f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far){lie}")
+    say(f"worst direction: {calibration.directions(lidar, camera)[0].text} (sd)")
     if (place := calibration.next_placement(lidar, camera)) is not None:
         x, y, z = place.T_lidar_target[:3, 3]
-        click.echo(
+        say(
             f"a view with the target at ({x:.1f}, {y:.1f}, {z:.1f}) m, turned {place.yaw_deg:+.0f} deg and "
             f"tilted {place.pitch_deg:+.0f} deg from facing the LiDAR, would make the worst direction "
             f"{1e3 * place.expected_sigma_m:.1f} mm instead of {1e3 * place.sigma_m:.1f}"
@@ -181,5 +188,5 @@ def _print_lens(calibration: CameraCalibration, camera: str) -> None:
     for words, rig in (("refined", calibration.rig), ("given", calibration.given)):
         lens = rig.cameras[camera]
         K = " ".join(f"{lens.K[i, j]:.2f}" for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-        click.echo(f"{words} lens of {camera}: fx fy cx cy {K} px, distortion {' '.join(f'{k:.5f}' for k in lens.D)}")
-    click.echo("")
+        say(f"{words} lens of {camera}: fx fy cx cy {K} px, distortion {' '.join(f'{k:.5f}' for k in lens.D)}")
+    say("")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from optshape_graph.cli.console import print_table, say
+from optshape_graph.cli.html_report import conclude, report_option
 from optshape_graph.cli.options import DISTANCE, FILE, POSITIVE, Number, force_option, seed_option
 
 if TYPE_CHECKING:
@@ -16,7 +17,8 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    epilog="\b\nExample:\n  optshape design choose --sensor os0-64 --range 8 --rotation 2 --translation 0.03 -o board.yaml"
+    epilog="\b\nExample:\n"
+    "  optshape design choose --sensor os0-64 --range 8 --rotation 2 --translation 0.03 -o board.yaml"
 )
 @click.option("--sensor", required=True, help="Name or file.")
 @click.option("--range", "metres", type=DISTANCE, required=True, help="Of the target from the sensor, m.")
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 @seed_option("Of the simulated scans.")
 @click.option("--json", "json_path", type=FILE, help="Write the numbers to this file.")
 @click.option("-o", "--output", type=FILE, help="Write the target to this file, and its drawing beside it, as PDF.")
+@report_option
 @force_option
 def choose(
     sensor: str,
@@ -39,6 +42,7 @@ def choose(
     seed: int,
     json_path: Path | None,
     output: Path | None,
+    html: Path | None,
     force: bool,
 ) -> int:
     """Choose the smallest target that a sensor finds as exactly as asked, and say how to hang it.
@@ -58,6 +62,7 @@ def choose(
     outputs.file("--output", output, "target")
     if output is not None:
         outputs.new("--output", output.with_suffix(".pdf"))
+    outputs.file("--report", html)
     wish = Wish(load_sensor(sensor), metres, radians(rotation), translation)
     with progress_bar("sizes") as progress:
         choice = choose_target(wish, [load_target(shape) for shape in shapes], seed=seed, progress=progress)
@@ -66,6 +71,7 @@ def choose(
         write_json(json_path, choice.to_dict())
     if output is not None:
         _write(choice, output)
+    conclude(choice.to_dict(), html)
     return 0
 
 

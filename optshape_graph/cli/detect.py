@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from optshape_graph.cli.estimate import drawn
+from optshape_graph.cli.html_report import report_option
 from optshape_graph.cli.options import FILE, columns_option, force_option, pool_options, sensor_option
 from optshape_graph.cli.plots import names_of, plot_option, save_picture
 
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 
 BYTES = 60_000
 """Of an entry of the document and its line in the journal, about: what the disk must have room for."""
+
+MOST_REJECTED = 3
+"""Surfaces that are shown of a scan in which nothing is found: those that passed the most tests."""
 
 
 @click.command()
@@ -31,6 +35,7 @@ BYTES = 60_000
               "in FILE.journal, from which the same command goes on.")  # fmt: skip
 @pool_options
 @force_option
+@report_option
 @plot_option("for every scan what was found in it, and the fit of every target found")
 def command(
     scans: tuple[str, ...],
@@ -40,6 +45,7 @@ def command(
     json_path: Path | None,
     pool: Pool | None,
     force: bool,
+    html: Path | None,
     plots: Path | None,
 ) -> int:
     """Find targets in each SCAN, a full revolution, and tell them apart by shape.
@@ -51,7 +57,8 @@ def command(
 
     `return_indices` in the JSON count the cloud's returns from 0, in its order, without points that are no returns
     (not finite, or at the origin); `doubtful_indices` are further returns that the pose rests on, at the target's rim
-    or with much noise. What was looked at and is no target is listed with the reason.
+    or with much noise. What was looked at and is no target is listed with the
+    reason, what came nearest to a target first.
 
     Exit status 3: some scans could not be used, or a target's shape or pose is ambiguous; the results of the others
     are written.
@@ -67,6 +74,7 @@ def command(
     paths = scan_paths(scans)
     outputs = Outputs([*paths, *targets, sensor], force=force)
     outputs.file("--json", json_path, "detect", bytes_needed=BYTES * len(paths))
+    outputs.file("--report", html)
     outputs.folder("--plot", plots)
     draw = Draw(plots, names_of(paths)) if plots else None
     detect = DetectFile(tuple(map(load_target, targets)), sensor_of(sensor, paths, columns), columns, draw)
@@ -80,9 +88,12 @@ def command(
             "T_lidar_target",
             ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "fit", "margin"],
             rows,
-            "score: 0 to 1. fit: chi-square per degree of freedom of plane / edges, or what makes the pose doubtful. "
+            "score: 0 to 1. fit: chi-square per degree of freedom of plane / edges, or what makes a pose doubtful, "
+            "or the surface no target. "
             "margin: log likelihood to the next of the targets asked for, where one fits as well.",
             json_path,
+            html,
+            "detect",
         )
 
 
@@ -109,12 +120,27 @@ class Draw:
 
 
 def rows(entry: dict[str, Any], status: str) -> list[list[str]]:
-    """Return the rows of an entry of the document: one for each target found."""
+    """Return the rows of an entry of the document: one for each target found; of none, what came nearest to one."""
     name = Path(entry["scan"]).name
     if "error" in entry:
         return [[name, "failed", *[""] * 8]]
     if not entry["targets"]:
-        return [[name, "none", *[""] * 7, f"{len(entry['rejected'])} rejected"]]
+        return [
+            [name, "none", *[""] * 7, f"{len(entry['rejected'])} rejected"],
+            *(
+                [
+                    "",
+                    nearest["target"] or "",
+                    "rejected",
+                    *(f"{x:.3f}" for x in nearest["centre"]),
+                    "",
+                    str(nearest["returns"]),
+                    nearest["reason"],
+                    "",
+                ]
+                for nearest in entry["rejected"][:MOST_REJECTED]
+            ),
+        ]
     return [
         [
             name,

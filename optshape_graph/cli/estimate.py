@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.cli.html_report import report_option
 from optshape_graph.cli.options import FILE, columns_option, force_option, pool_options, sensor_option
 from optshape_graph.cli.plots import names_of, plot_option, save_picture
 
@@ -33,6 +34,7 @@ BYTES = 12_000
               "in FILE.journal, from which the same command goes on.")  # fmt: skip
 @pool_options
 @force_option
+@report_option
 @plot_option("for every scan the fit, edges, residuals and vertices, and the runner-up where ambiguous")
 def command(
     scans: tuple[str, ...],
@@ -44,6 +46,7 @@ def command(
     json_path: Path | None,
     pool: Pool | None,
     force: bool,
+    html: Path | None,
     plots: Path | None,
 ) -> int:
     """Estimate a target's pose in each SCAN, which holds the target's returns and no others.
@@ -65,6 +68,7 @@ def command(
     paths = scan_paths(scans)
     outputs = Outputs([*paths, target, sensor], force=force)
     outputs.file("--json", json_path, "estimate", bytes_needed=BYTES * len(paths))
+    outputs.file("--report", html)
     outputs.folder("--plot", plots)
     template, model = load_target(target), sensor_of(sensor, paths, columns)
     draw = Draw(plots, names_of(paths)) if plots else None
@@ -83,6 +87,8 @@ def command(
             "margin: log likelihood to the best different pose. "
             "fit: chi-square per degree of freedom of plane / edges, or what makes the pose doubtful.",
             json_path,
+            html,
+            "estimate",
         )
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from optshape_graph.cli.console import SECONDS_BETWEEN, say, terminal, warn
+from optshape_graph.cli.html_report import conclude, report_option
 from optshape_graph.cli.options import FILE, POSITIVE, Number, force_option, outside_option, pool_options
 from optshape_graph.cli.plots import Pictures, plot_option
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from optshape_graph._arrays import Floats
     from optshape_graph.io.recordings import Recording
     from optshape_graph.io.sessions import Session
+    from optshape_graph.mapping import Map
     from optshape_graph.mapping.recording import MapResult, Progress
     from optshape_graph.runs.workers import Pool
 
@@ -57,6 +59,7 @@ if TYPE_CHECKING:
 @click.option("--kitti", "kitti_file", type=FILE, help="Write the trajectory.")
 @click.option("--g2o", "g2o_file", type=FILE, help="Write the pose graph.")
 @force_option
+@report_option
 @plot_option("the map from above, and the structure of its graph")
 @outside_option
 def command(
@@ -82,6 +85,7 @@ def command(
     kitti_file: Path | None,
     g2o_file: Path | None,
     force: bool,
+    html: Path | None,
     plots: Path | None,
 ) -> int:
     """Map the targets that SOURCE saw, and where it saw them from.
@@ -111,6 +115,7 @@ def command(
     outputs.file("--json", json_file, "map")
     for option, file in (("--tum", tum_file), ("--kitti", kitti_file), ("--g2o", g2o_file)):
         outputs.file(option, file)
+    outputs.file("--report", html)
     outputs.folder("--plot", plots)
     opened = _opened(source, target_names, sensor_name, scan_topic, allow_outside)
     describe = {
@@ -147,8 +152,9 @@ def command(
         _write(result, json_file, tum_file, kitti_file, g2o_file)
         journal.remove()
     _say(result)
-    if plots:
-        _draw(result, plots)
+    pictures = _draw(result, plots) if plots else ()
+    document = {**result.map.to_dict(), "trajectory": [{}] * len(result.trajectory)}
+    conclude({**document, "report": {"problems": list(result.problems)}}, html, pictures)
     return 3 if result.problems else 0
 
 
@@ -227,7 +233,7 @@ def _write(result: MapResult, json_file: Path | None, tum: Path | None, kitti: P
         warn(f"{g2o}: not written, for no landmark was mapped")
 
 
-def _draw(result: MapResult, plots: Path) -> None:
+def _draw(result: MapResult, plots: Path) -> list[Path]:
     from optshape_graph.viz.map import plot_map, plot_structure
 
     pictures = Pictures(plots)
@@ -235,6 +241,15 @@ def _draw(result: MapResult, plots: Path) -> None:
     if result.solution is not None:
         pictures.save("structure", plot_structure(result.solution.problem))
     pictures.tell()
+    return pictures.paths
+
+
+def say_landmarks(result: Map) -> None:
+    """Print a line for each landmark of a map."""
+    for landmark in result.landmarks:
+        x, y, z = landmark.position
+        sd = landmark.covariance[3:, 3:].trace() ** 0.5
+        say(f"  {landmark.id}: ({x:.3f}, {y:.3f}, {z:.3f}) m +- {sd:.3f}, {landmark.observations} observations")
 
 
 def _say(result: MapResult) -> None:
@@ -248,10 +263,7 @@ def _say(result: MapResult) -> None:
         f"{progress.scans} scans, {progress.keyframes} keyframes, {progress.sightings} sightings: "
         f"{len(result.map.landmarks)} landmarks, {len(result.trajectory)} poses"
     )
-    for landmark in result.map.landmarks:
-        x, y, z = landmark.T_world_target[:3, 3]
-        sd = landmark.covariance[3:, 3:].trace() ** 0.5
-        say(f"  {landmark.id}: ({x:.3f}, {y:.3f}, {z:.3f}) m +- {sd:.3f}, {landmark.observations} observations")
+    say_landmarks(result.map)
     if result.counts:
         say("  " + ", ".join(f"{count} {what}" for what, count in result.counts.items()))
     for reason, count in (*progress.skipped.items(), *result.skipped.items()):

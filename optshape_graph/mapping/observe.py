@@ -64,7 +64,7 @@ def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: 
         biases: whether to keep what tells the biases of the LiDAR's rings: a few kilobytes for each sighting.
     """
     scan, sweep = keyframe.scan, keyframe.sweep
-    T_odometry_lidar = None if sweep is None else sweep.T_odometry_lidar
+    T_odometry_lidar = keyframe.T_odometry_lidar
     moving = sweep is not None and scan.time is not None and bool((np.abs(sweep.twist) > SLOW).any())
     straight = deskew(scan, sweep) if sweep is not None and moving else scan
     try:

@@ -124,8 +124,8 @@ def test_measured_puts_sides_back(tmp_path):
 
 def test_export_with_marks_and_holes_lists_the_parts(tmp_path):
     out = tmp_path / "board.svg"
-    result = run("export", "paper@0.1", "--format", "svg", "--paper", "a3", "--orientation", "landscape", "--markers", 15,
-                 "--holes", 6, 40, "-o", out)  # fmt: skip
+    result = run("export", "paper@0.1", "--format", "svg", "--paper", "a3", "--orientation", "landscape",
+                 "--markers", 15, "--holes", 6, 40, "-o", out)  # fmt: skip
     assert result.exit_code == 0, result.output
     assert (tmp_path / "board-plan.svg").exists()
     assert "4 holes of 6 mm, each 40 mm in from its corner" in result.output
