@@ -91,3 +91,27 @@ def _ratio(of: tuple[list[float], list[float]], x: Floats, flipped: bool = False
     for c in bottom[1:]:
         q = q * x + c
     return np.asarray(p / q)
+
+
+def chi_square_tail(square: float, freedom: float) -> float:
+    """Return the probability that a chi-square variable exceeds `square`, to a third of it; 1 without freedom.
+
+    Its cube root is close to normal (Wilson and Hilferty, Proc. Natl. Acad. Sci. 17, 1931).
+    """
+    if freedom <= 0:
+        return 1.0
+    spread = 2.0 / (9.0 * freedom)
+    return float(ndtr(-((max(square, 0.0) / freedom) ** (1 / 3) - (1.0 - spread)) / np.sqrt(spread)))
+
+
+def f_tail(ratio: float, k: float, freedom: float) -> float:
+    """Return the probability that an F variable of (k, freedom) degrees exceeds `ratio`, at most three times too large.
+
+    It is the ratio of two whose cube roots are close to normal (Paulson, Ann. Math. Stat. 13, 1942). 1 where there are
+    not three degrees of freedom: then the approximation fails, and nothing is told by it.
+    """
+    if freedom < 3:
+        return 1.0
+    root, above, below = max(ratio, 0.0) ** (1 / 3), 2.0 / (9.0 * k), 2.0 / (9.0 * freedom)
+    z = ((1.0 - below) * root - (1.0 - above)) / np.sqrt(below * root**2 + above)
+    return float(ndtr(-z))

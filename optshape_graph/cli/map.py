@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from optshape_graph._arrays import Floats
     from optshape_graph.io.recordings import Recording
     from optshape_graph.io.sessions import Session
+    from optshape_graph.mapping import Map
     from optshape_graph.mapping.recording import MapResult, Progress
     from optshape_graph.runs.workers import Pool
 
@@ -243,6 +244,14 @@ def _draw(result: MapResult, plots: Path) -> list[Path]:
     return pictures.paths
 
 
+def say_landmarks(result: Map) -> None:
+    """Print a line for each landmark of a map."""
+    for landmark in result.landmarks:
+        x, y, z = landmark.position
+        sd = landmark.covariance[3:, 3:].trace() ** 0.5
+        say(f"  {landmark.id}: ({x:.3f}, {y:.3f}, {z:.3f}) m +- {sd:.3f}, {landmark.observations} observations")
+
+
 def _say(result: MapResult) -> None:
     progress, found = result.progress, result.mounting
     if found is not None and found.T_body_lidar is not None and found.body != found.lidar:
@@ -254,10 +263,7 @@ def _say(result: MapResult) -> None:
         f"{progress.scans} scans, {progress.keyframes} keyframes, {progress.sightings} sightings: "
         f"{len(result.map.landmarks)} landmarks, {len(result.trajectory)} poses"
     )
-    for landmark in result.map.landmarks:
-        x, y, z = landmark.T_world_target[:3, 3]
-        sd = landmark.covariance[3:, 3:].trace() ** 0.5
-        say(f"  {landmark.id}: ({x:.3f}, {y:.3f}, {z:.3f}) m +- {sd:.3f}, {landmark.observations} observations")
+    say_landmarks(result.map)
     if result.counts:
         say("  " + ", ".join(f"{count} {what}" for what, count in result.counts.items()))
     for reason, count in (*progress.skipped.items(), *result.skipped.items()):

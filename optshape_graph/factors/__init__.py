@@ -49,6 +49,7 @@ from optshape_graph.factors.shape import (
 )
 from optshape_graph.factors.static import (
     EDGE_OFFSET,
+    ELEVATION,
     RANGE_BIAS,
     BiasedMeasurement,
     SharedError,
@@ -65,6 +66,7 @@ from optshape_graph.factors.template import (
 
 __all__ = [
     "EDGE_OFFSET",
+    "ELEVATION",
     "RANGE_BIAS",
     "AugmentedMeasurement",
     "BiasedMeasurement",

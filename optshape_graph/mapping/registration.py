@@ -6,7 +6,7 @@ Needs the extra `icp`. Without the library, scans still tell whether the LiDAR m
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from itertools import islice, pairwise
+from itertools import chain, islice, pairwise
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from optshape_graph.errors import missing_extra
 from optshape_graph.io.recordings.stream import Stamped
 from optshape_graph.mapping.sweep import MotionNoise, Sweep
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import difference, exp
+from optshape_graph.se3 import exp, log
 
 NOISE = MotionNoise(0.04, np.radians(1.0), 0.02, np.radians(0.5))
 """Of poses from scans: those of a VLP-16 in a simulated room scatter by 1 cm and 0.25 deg a revolution, at 0.8 m/s."""
@@ -50,30 +50,37 @@ def scan_odometry(scans: Iterable[Stamped[Scan]]) -> Iterator[Stamped[Floats]]:
         from kiss_icp.kiss_icp import KissICP
     except ImportError as error:
         raise missing_extra("kiss-icp", "icp", error) from error
-    odometry, before, first = None, None, None
-    for stamp, scan in ((item.stamp, item.value) for item in scans):
-        if scan.time is None or not len(scan):
-            continue
-        if odometry is None:
-            config = KISSConfig()
-            config.data.max_range = float(np.percentile(np.linalg.norm(scan.points, axis=1), 95)) * 1.5
-            config.data.min_range = 0.3
-            config.mapping.voxel_size = config.data.max_range / 1.5 / VOXELS
-            odometry = KissICP(config)
-        start, end = float(scan.time.min()), float(scan.time.max())
-        odometry.register_frame(np.array(scan.points), (scan.time - start) / max(end - start, 1e-9))
-        pose = odometry.last_pose.copy()
-        if before is None:
-            first = stamp + start
-        elif first is not None:  # the first scan began by as much before its end as the second one ended after it
-            seconds = stamp + end - before.stamp
-            back = (first - before.stamp) / seconds * difference(before.value, pose)
-            yield Stamped(first, before.value @ exp(back))
-            yield before
-            first = None
-        if before is not None:
-            yield Stamped(stamp + end, pose)
-        before = Stamped(stamp + end, pose)
+    usable = ((item.stamp, item.value) for item in scans if item.value.time is not None and len(item.value))
+    beginning = list(islice(usable, LOOKED_AT))
+    if not beginning:
+        return
+    config = KISSConfig()
+    reach = float(np.percentile(np.linalg.norm(beginning[0][1].points, axis=1), 95))
+    config.data.max_range, config.data.min_range, config.mapping.voxel_size = 1.5 * reach, 0.3, reach / VOXELS
+
+    def register(odometry: KissICP, scan: Scan) -> Floats:
+        times = _times(scan)
+        start, end = float(times.min()), float(times.max())
+        odometry.register_frame(np.array(scan.points), (times - start) / max(end - start, 1e-9))
+        return np.array(odometry.last_pose)
+
+    # It takes the LiDAR to be at rest at first: the beginning is registered twice, the second time as moving on.
+    trial, odometry = KissICP(config), KissICP(config)
+    for _, scan in beginning:
+        register(trial, scan)
+    odometry.last_delta = trial.last_delta
+    stamp, scan = beginning[0]
+    pose = register(odometry, scan)
+    start, end = stamp + float(_times(scan).min()), stamp + float(_times(scan).max())
+    yield Stamped(start, pose @ exp(-log(np.array(trial.last_delta))))
+    yield Stamped(end, pose)
+    for stamp, scan in chain(beginning[1:], usable):
+        yield Stamped(stamp + float(_times(scan).max()), register(odometry, scan))
+
+
+def _times(scan: Scan) -> Floats:
+    assert scan.time is not None  # others were left out
+    return scan.time
 
 
 def moves(scans: Iterable[Stamped[Scan]]) -> bool:

@@ -20,8 +20,8 @@ from optshape_graph.factors import (
 from optshape_graph.factors.static import ELEVATION, RANGE_BIAS
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
-from optshape_graph.pose import PoseEstimate
-from optshape_graph.se3 import as_transform, inverse
+from optshape_graph.pose import PoseEstimate, PoseOptions
+from optshape_graph.se3 import PoseLike, as_transform, inverse
 from optshape_graph.target import Target
 
 OF_RINGS = (RANGE_BIAS, ELEVATION)
@@ -69,7 +69,7 @@ class Sighting(Value):
         *,
         biases: bool = True,
     ) -> Sighting:
-        """Return the sighting that a pose estimate makes; of an ambiguous one, both of its poses.
+        """Return the sighting that a pose estimate makes; where another pose is not ruled out, both.
 
         Of the other pose only the pose is known: its measurement is taken to be that of the best one, moved there.
 
@@ -87,7 +87,7 @@ class Sighting(Value):
         best = estimate.measurement
         measurements: tuple[TemplateMeasurement, ...] = (best,)
         other = estimate.ambiguity.T_lidar_target
-        if estimate.status != "ok" and other is not None:
+        if other is not None and estimate.ambiguity.margin < PoseOptions.ambiguity_margin:
             measurements = (best, best.substituted(best.T_target_lidar @ other))
         return cls(estimate.target, measurements, landmark, shape, _biased(estimate) if biases else None)
 
@@ -114,6 +114,15 @@ class Sighting(Value):
         measurements = tuple(m.substituted(np.eye(4), T_lidar_then) for m in self.measurements)
         biased = None if self.biased is None else self.biased.substituted(np.eye(4), T_lidar_then)
         return replace(self, measurements=measurements, shape=shape, biased=biased)
+
+    def on_body(self, T_body_lidar: PoseLike, lidar: str) -> Sighting:
+        """Return the sighting as one from a robot's body, of which poses and odometry are then, with several LiDARs.
+
+        Args:
+            T_body_lidar: (4, 4) of the LiDAR on the body.
+            lidar: its name: each LiDAR's rings have biases of their own.
+        """
+        return replace(self.moved(as_transform(T_body_lidar, "T_body_lidar")), lidar=lidar)
 
     @cached_property
     def hypotheses(self) -> tuple[TemplateMeasurement, ...]:

@@ -28,6 +28,7 @@ from optshape_graph.pose.association import ReturnsPlane, fit_plane, in_plane_po
 from optshape_graph.pose.fit import Evidence, Flag
 from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
+from optshape_graph.pose.propagation import Problem
 from optshape_graph.pose.result import Ambiguity, Finding
 from optshape_graph.pose.surface import PlaneResiduals, as_seen, displaced, find_surface
 from optshape_graph.scan import Scan
@@ -77,7 +78,8 @@ def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Fin
     # The likeliest set and the plane in one measurement, at its minimum.
     seen = as_seen(_with_biases(returns, scan), off_plane)
     shared = _outline_measurement(best, plane) + plane_measurement(seen)
-    T_target_lidar = refine(shared.marginal(1.0).at(poses[0]))
+    exact = shared.marginal(1.0)
+    T_target_lidar = refine(exact.at(poses[0]))
     shared = displaced(shared, shape, off_plane, target, T_target_lidar)
     margin, rival = (np.inf, None) if len(sets) == 1 else (best.log_mass - sets[1].log_mass, inverse(poses[1]))
     outside = target.outside_distance(q @ _turn(best.mean[0]).T + best.mean[1:]) > REACH * (beam.sigma + beam.offset)
@@ -85,6 +87,7 @@ def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Fin
         target=target,
         returns=scan,
         measurement=shared.marginal(1.0).at(T_target_lidar),
+        exact=exact,
         shared=shared,
         total_weight=float((1 / returns.sigma**2).sum() + np.trace(np.linalg.inv(best.covariance[1:, 1:]))),
         ambiguity=Ambiguity(margin, rival),
@@ -96,14 +99,13 @@ def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Fin
         edge_residuals=np.zeros(0),
         evidence=Evidence(
             scan,
-            target,
+            Problem(EdgePoints.none(), target, np.zeros((13, 13)), EdgeNoise.of(scan.sensor, options)),
             off_plane,
             shape,
-            EdgePoints.none(),
-            None,
-            EdgeNoise.of(scan.sensor, options),
-            None,
-            _mirrored(q, beam, target, best.log_mass),
+            ends=None,
+            angular_noise=0.0,
+            tilt=None,
+            own=_mirrored(q, beam, target, best.log_mass),
         ),
         objection=""
         if outside.mean() <= options.max_outside

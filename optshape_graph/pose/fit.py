@@ -14,13 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Value
-from optshape_graph.edges import EdgePoints
-from optshape_graph.pose.noise import EdgeNoise
-from optshape_graph.pose.outline import Coverage, Ends, coverage, in_plane
-from optshape_graph.pose.surface import PlaneResiduals, Surface, gyration, rim_step, sheets
+from optshape_graph._arrays import Floats, Ints, Value
+from optshape_graph.pose.outline import Coverage, Ends, coverage, fit_ends, in_plane, outside_beams, tilt_of_rings
+from optshape_graph.pose.propagation import Problem
+from optshape_graph.pose.surface import PlaneResiduals, Surface, find_surface, gyration, rim_step, sheets
 from optshape_graph.scan import Scan
-from optshape_graph.target import Target
 
 RIM = 0.06
 """Width of a frame, metres: those of boards and panels are 3 to 8 cm wide."""
@@ -119,31 +117,43 @@ class Evidence(Value):
 
     Attributes:
         scan: the returns, duplicates dropped.
-        target: the template.
+        problem: both ends of each ring (none without rings), the template, and the beam.
         residuals: of the returns from their plane.
         surface: what was found in them.
-        edges: both ends of each ring; none without rings.
-        ends: them against the outline; None without rings.
-        beam: of the sensor.
+        ends: ring ends against the outline; None without rings.
+        angular_noise: standard deviation of one azimuth, rad.
         tilt: of elevations within rings, see `tilt_of_rings`; None without rings.
         own: flags of tests that are the method's own.
     """
 
     scan: Scan
-    target: Target
+    problem: Problem
     residuals: PlaneResiduals
     surface: Surface
-    edges: EdgePoints
     ends: Ends | None
-    beam: EdgeNoise
+    angular_noise: float
     tilt: tuple[float, float] | None
     own: tuple[Flag, ...] = ()
+
+    @classmethod
+    def of_rings(cls, scan: Scan, problem: Problem, T_target_lidar: Floats, labels: Ints) -> Evidence:
+        """Collect it for a pose that was found without it.
+
+        Args:
+            scan: the returns.
+            problem: ring ends, template and beam.
+            T_target_lidar: (4, 4).
+            labels: (M,) edge of each ring end.
+        """
+        residuals = PlaneResiduals.of_scan(scan, problem.target)
+        ends = fit_ends(problem, T_target_lidar, labels)
+        return cls(scan, problem, residuals, find_surface(residuals), ends, 0.0, tilt_of_rings(scan))
 
 
 def plane_flags(evidence: Evidence, T_target_lidar: Floats) -> list[Flag]:
     """Ask the distances from the plane, whatever the outline."""
     r, s = evidence.residuals, evidence.surface
-    radius = gyration(evidence.target)
+    radius = gyration(evidence.problem.target)
     yz = in_plane(evidence.scan.points, T_target_lidar)
     tilt = np.degrees(2 * s.size / radius)
     off = float(np.mean(~r.usual))
@@ -156,9 +166,9 @@ def plane_flags(evidence: Evidence, T_target_lidar: Floats) -> list[Flag]:
         differs = np.ones(len(p), dtype=bool)
         differs[k:] = ring[k:] != ring[:-k]
         outer[order] |= differs | np.append(differs[k:], np.ones(k, dtype=bool))
-    rim = evidence.target.outside_distance(yz) > -RIM
+    rim = evidence.problem.target.outside_distance(yz) > -RIM
     step, chance = rim_step(r, rim, ~outer)
-    ends = np.abs(r.rest[evidence.edges.index]) if len(evidence.edges) else np.zeros(1)
+    ends = np.abs(r.rest[evidence.problem.edges.index]) if len(evidence.problem.edges) else np.zeros(1)
     scale = max(1.0, r.noise / 0.01)
     far, near = ends > 0.06 * scale, ends > 0.03 * scale
     mean = float(np.minimum(ends, 0.06 * scale).mean())
@@ -243,14 +253,13 @@ def measure_fit(evidence: Evidence, T_target_lidar: Floats, duplicates: int) -> 
     plane = r.beyond(3, np.zeros((len(scan), 0)))
     flags = [*plane_flags(evidence, T_target_lidar), *evidence.own]
     if ends is not None:
-        cover = coverage(scan, evidence.edges, evidence.target, T_target_lidar, evidence.beam)
+        cover = coverage(scan, evidence.problem, T_target_lidar, evidence.angular_noise)
         flags += ring_flags(evidence, ends, cover)
         outside, tilt = cover.outside, evidence.tilt[0] if evidence.tilt else None
         missing = (cover.missing_left, cover.missing_right, cover.missing_inside)
         rings, expected = cover.missing_rings, cover.expected
     else:
-        width = np.maximum(evidence.beam.width(np.linalg.norm(scan.points, axis=1)), 5e-3)
-        outside = evidence.target.outside_distance(in_plane(scan.points, T_target_lidar)) / width
+        outside = outside_beams(scan, evidence.problem, T_target_lidar, evidence.angular_noise)
         tilt, missing, rings, expected = None, (0.0, 0.0, 0.0), 0, None
     noise_factor, bias_factor = r.noise / r.file_noise, r.bias / r.file_bias
     warnings = [

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaincc
 
 from optshape_graph._arrays import Floats, Ints, Value
-from optshape_graph.edges import EdgePoints, relative_azimuth
+from optshape_graph.edges import relative_azimuth
 from optshape_graph.factors._rows import triangular
-from optshape_graph.pose.likelihood import chords
-from optshape_graph.pose.noise import EdgeNoise
+from optshape_graph.gaussian import chi_square_tail, f_tail
 from optshape_graph.pose.propagation import Problem, edge_geometry
-from optshape_graph.pose.surface import SEEN, f_tail
+from optshape_graph.pose.rays import chords, sight_planes
+from optshape_graph.pose.surface import SEEN
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
@@ -58,8 +57,7 @@ class Ends(Value):
     @property
     def probability(self) -> float:
         """Of so large a clipped sum of squares by chance."""
-        square = self.clipped_mean_square * len(self.z)
-        return float(gammaincc(self.freedom / 2, square / 2)) if self.freedom > 0 else 1.0
+        return chi_square_tail(self.clipped_mean_square * len(self.z), self.freedom)
 
     @property
     def factor(self) -> float:
@@ -162,25 +160,24 @@ class Coverage(Value):
     cut: int
 
 
-def coverage(scan: Scan, edges: EdgePoints, target: Target, T_target_lidar: Floats, noise: EdgeNoise) -> Coverage:
+def coverage(scan: Scan, problem: Problem, T_target_lidar: Floats, angular_noise: float) -> Coverage:
     """Count returns outside the outline, and firings that are missing inside.
 
     Args:
         scan: the returns.
-        edges: both ends of each ring.
-        target: the template.
+        problem: both ends of each ring, the template, and the beam.
         T_target_lidar: (4, 4).
-        noise: of the beam.
+        angular_noise: standard deviation of one azimuth, rad.
     """
     assert scan.ring is not None
+    edges, target = problem.edges, problem.target
     ranges = np.linalg.norm(scan.points, axis=1)
-    width = np.maximum(noise.width(ranges), NARROWEST)
-    step, outside = edges.azimuth_step, target.outside_distance(in_plane(scan.points, T_target_lidar)) / width
+    step, outside = edges.azimuth_step, outside_beams(scan, problem, T_target_lidar, angular_noise)
     first = edges.points[::2]
     elevation = np.arctan2(first[:, 2], np.hypot(first[:, 0], first[:, 1]))
-    corners = (target.vertices - T_target_lidar[:3, 3])[None] @ T_target_lidar[:3, :3]
-    right, left = (ends[0] for ends in chords(corners, elevation, edges.reference_azimuth))
-    slack = step + float(np.median(width / ranges))
+    sides = sight_planes((target.vertices - T_target_lidar[:3, 3])[None] @ T_target_lidar[:3, :3])
+    right, left = (ends[0] for ends in chords(sides, elevation, edges.reference_azimuth))
+    slack = step + float(np.median(_reach(problem, ranges, angular_noise) / ranges))
     beyond_left, beyond_right = left - edges.azimuth[::2], edges.azimuth[1::2] - right
     azimuth, _ = relative_azimuth(scan.points)
     order = np.lexsort((azimuth, scan.ring))
@@ -188,7 +185,7 @@ def coverage(scan: Scan, edges: EdgePoints, target: Target, T_target_lidar: Floa
     missing_rings = 0
     if scan.sensor is not None:
         beside = np.r_[: edges.ring[0], edges.ring[-1] + 1 : scan.sensor.n_rings]
-        low, high = chords(corners, scan.sensor.elevations[beside], edges.reference_azimuth)
+        low, high = chords(sides, scan.sensor.elevations[beside], edges.reference_azimuth)
         missing_rings = int(np.count_nonzero(high - low > step + slack))
     return Coverage(
         outside=outside,
@@ -202,6 +199,17 @@ def coverage(scan: Scan, edges: EdgePoints, target: Target, T_target_lidar: Floa
             _at_one_azimuth(edges.azimuth[1::2], beyond_right, step, slack),
         ),
     )
+
+
+def outside_beams(scan: Scan, problem: Problem, T_target_lidar: Floats, angular_noise: float) -> Floats:
+    """(N,) how far returns lie outside the outline, in beam widths; negative inside. Arguments as of `coverage`."""
+    beyond = problem.target.outside_distance(in_plane(scan.points, T_target_lidar))
+    return np.asarray(beyond / _reach(problem, np.linalg.norm(scan.points, axis=1), angular_noise))
+
+
+def _reach(problem: Problem, ranges: Floats, angular_noise: float) -> Floats:
+    """(N,) how far outside returns at ranges (N,) may lie, metres: a beam, and three standard deviations."""
+    return np.asarray(np.maximum(problem.noise.width(ranges), NARROWEST) + 3 * angular_noise * ranges)
 
 
 NARROWEST = 5e-3

@@ -12,17 +12,14 @@ from __future__ import annotations
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
-from optshape_graph.edges import EdgePoints, extract_edge_points
+from optshape_graph.edges import extract_edge_points
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import TemplateMeasurement, edge_rows, plane_rows
-from optshape_graph.pose.association import fit_plane
 from optshape_graph.pose.certificate import Backend, solve_relaxation
 from optshape_graph.pose.fit import Evidence
-from optshape_graph.pose.noise import EdgeNoise, returns_on_plane
-from optshape_graph.pose.outline import fit_ends, tilt_of_rings
+from optshape_graph.pose.noise import EdgeNoise
 from optshape_graph.pose.propagation import Problem
 from optshape_graph.pose.result import Ambiguity, Finding
-from optshape_graph.pose.surface import PlaneResiduals, find_surface
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import apply, difference, transform
 from optshape_graph.target import Target
@@ -54,6 +51,7 @@ def find_as_paper(scan: Scan, target: Target, backend: Backend) -> Finding:
         target=target,
         returns=scan,
         measurement=measurement,
+        exact=measurement,
         shared=None,
         total_weight=measurement.n_rows / sigma**2,
         ambiguity=Ambiguity(np.inf, None),
@@ -62,19 +60,11 @@ def find_as_paper(scan: Scan, target: Target, backend: Backend) -> Finding:
         labels=labels,
         inset=np.zeros(len(edges)),
         edge_sigma=np.full(len(edges), sigma),
-        evidence=_evidence(scan, target, edges, labels, T),
+        evidence=Evidence.of_rings(
+            scan, Problem(edges, target, np.zeros((13, 13)), EdgeNoise.of(scan.sensor)), T, labels
+        ),
         edge_residuals=(target.normals[labels] * moved[:, 1:]).sum(axis=1) - target.offsets[labels],
     )
-
-
-def _evidence(scan: Scan, target: Target, edges: EdgePoints, labels: Ints, T: Floats) -> Evidence:
-    """What the fit is judged by: the method itself looks at ring ends alone."""
-    assert scan.ring is not None
-    plane = fit_plane(scan.points, scan.ring)
-    residuals = PlaneResiduals.of(returns_on_plane(scan, plane.axes[0], plane.distance), plane, target, scan.ring)
-    noise = EdgeNoise.of(scan.sensor)
-    ends = fit_ends(Problem(edges, target, np.zeros((13, 13)), noise), T, labels)
-    return Evidence(scan, target, residuals, find_surface(residuals), edges, ends, noise, tilt_of_rings(scan))
 
 
 def nearest_lines(points: Floats, target: Target) -> Ints:

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import betainc
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.factors.static import SURFACE, BiasedMeasurement, SharedError
-from optshape_graph.pose.association import ReturnsPlane
-from optshape_graph.pose.noise import PlaneReturns, one_scan
+from optshape_graph.gaussian import f_tail
+from optshape_graph.pose.association import ReturnsPlane, fit_plane
+from optshape_graph.pose.noise import PlaneReturns, one_scan, returns_on_plane
+from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
@@ -92,6 +93,13 @@ class PlaneResiduals(Value):
         square = float(np.sum((medians - medians.mean()) ** 2)) - freedom * own
         seen = np.sqrt(max(PRIOR_RINGS * bias**2 + square, 0.0) / (PRIOR_RINGS + freedom)) if freedom else 0.0
         return cls(e, yz, column, rest, usual, max(noise, within), max(bias, float(seen)), noise, bias)
+
+    @classmethod
+    def of_scan(cls, scan: Scan, target: Target) -> PlaneResiduals:
+        """Return those of a scan with rings from the plane that fits it best."""
+        assert scan.ring is not None
+        plane = fit_plane(scan.points, scan.ring)
+        return cls.of(returns_on_plane(scan, plane.axes[0], plane.distance), plane, target, scan.ring)
 
     @property
     def excess(self) -> float:
@@ -298,11 +306,6 @@ def whitened_gram(columns: Floats, ring: Ints, noise: float, bias: float) -> Flo
     share = 1.0 - noise / np.sqrt(noise**2 + counts * bias**2)
     sums = np.array([np.bincount(ring, column) for column in columns.T]).T
     return np.asarray(columns.T @ columns - sums.T @ (((2 - share) * share / counts)[:, None] * sums))
-
-
-def f_tail(F: float, k: int, freedom: int) -> float:
-    """Return the probability that an F variable of (k, freedom) degrees of freedom exceeds F; 1 without freedom."""
-    return float(betainc(freedom / 2, k / 2, freedom / (freedom + k * F))) if freedom > 0 else 1.0
 
 
 def _schur(G: Floats, b: int) -> Floats:

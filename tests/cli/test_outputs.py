@@ -45,6 +45,7 @@ RUNS: dict[str, tuple[str, set[str]]] = {
         {"session", "extract", "sensor", "target", "camera"},
     ),
     "map": ("map {session} --one-each --json {out}/a.json --tum {out}/a.tum --g2o {out}/a.g2o", {"map"}),
+    "merge": ("merge {one} {two} --json {out}/a.json", {"map"}),
     "evaluate simulation": (
         "evaluate simulation --distance 4 --rpy 0 0 0 --noise 0 --seeds 1 --method global -o {out}",
         {"sweep", "sweep-task"},
@@ -64,6 +65,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     from tests.cli.test_extract import SENSOR, recording
     from tests.detection.scenes import pose, scan_of
     from tests.fuzz.readers import SCENE
+    from tests.mapping.test_map import a_map
 
     folder = tmp_path_factory.mktemp("inputs")
     sensor = load_sensor("vlp32c")
@@ -80,7 +82,10 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     (folder / "camera").mkdir()
     session = write_session(folder / "camera")
     (session / "3.png").write_bytes(b"broken")
+    for name in ("one", "two"):
+        a_map("abc", session=name).save(folder / f"{name}.json")
     return {
+        "one": folder / "one.json", "two": folder / "two.json",
         "demo": DEMO, "session": folder / "demo" / "session.yaml", "camera": session / "session.yaml",
         "scene": folder / "scene.pcd", "empty": folder / "empty.pcd", "bad": folder / "bad.pcd",
         "scene_file": folder / "scene.yaml", "four": folder / "four.yaml", "bag": recording(folder),
