@@ -24,7 +24,7 @@ from optshape_graph.factors.static import (
     SharedError,
 )
 from optshape_graph.pose.association import enumerate_poses, fit_plane
-from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
+from optshape_graph.pose.azimuth_grid import at_firing_times, level_rings, place_on_firings
 from optshape_graph.pose.fit import Evidence
 from optshape_graph.pose.modes import Modes, compare_modes, rank
 from optshape_graph.pose.noise import EdgeNoise, one_scan, plane_measurement, returns_on_plane
@@ -46,6 +46,7 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
         EstimationError: the returns determine no pose at all.
     """
     # What was measured: ring ends on the grid of firings, and all returns against a plane near the target's.
+    scan = at_firing_times(scan)
     levelled, angular_noise = level_rings(scan)
     edges = place_on_firings(extract_edge_points(levelled), levelled, angular_noise)
     assert scan.ring is not None
