@@ -4,8 +4,13 @@
 # make faults         the search for faults, longer than in the tests: broken inputs, full disks, signals, hostile names
 # make bench          the benchmarks: ratios between two things measured in one run
 # make coverage       the lines that `make test` runs, and those that it does not
+# make leaderboard    four methods on the same clouds, into docs/leaderboard.md
 # make docs           the documentation, as a site in build/site
 # make release-check  wheel and sdist, the wheel tried in a fresh environment of every Python in PYTHONS
+#
+# make lock           write down the versions that the tests run with: .ci/constraints.txt, docs/licences.md
+# make latest         the tests with the newest versions there are, upper bounds left out: to be run now and then
+# make sbom           what is in the environment, as CycloneDX: build/sbom.json
 #
 # All set up what they need on a bare Debian or Ubuntu with Python 3.11 or newer, as root or with sudo (.ci/setup). To
 # choose: PYTHON=python3.13 VENV=/some/folder JOBS=4
@@ -24,7 +29,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Folders of tests that need no simulation and no process of their own.
 QUICK := $(wildcard tests/test_*.py) $(addprefix tests/,factors graph io pose design runs docs/test_docstrings.py cli/test_lazy.py)
 
-.PHONY: demo check test faults bench coverage docs release-check
+.PHONY: demo check test faults bench leaderboard coverage docs release-check lock latest sbom
 
 demo: setup-plot
 	$(BIN)/optshape demo
@@ -47,6 +52,9 @@ faults: setup-test
 bench: setup-test
 	$(BIN)/python -m pytest -m benchmark -s tests/benchmarks
 
+leaderboard: setup-test
+	$(BIN)/python -m tests.leaderboard
+
 coverage: setup-test
 	$(BIN)/python -m pytest -n $(JOBS) -m "not benchmark" --cov --cov-report=term:skip-covered
 
@@ -61,6 +69,21 @@ release-check: setup-test
 	  build/fresh/bin/python -m pip install --quiet build/dist/*.whl; \
 	  (cd build/fresh && bin/python "$(CURDIR)/tests/release/smoke.py"); \
 	done
+
+lock: setup-test
+	$(BIN)/python .ci/lock $(BIN)/python
+
+latest:
+	rm -rf build/latest
+	$(or $(PYTHON),python3) -m venv build/latest
+	build/latest/bin/python .ci/latest > build/latest/wanted.txt
+	build/latest/bin/python -m pip install --quiet --upgrade pip -r build/latest/wanted.txt
+	build/latest/bin/python -m pip install --quiet --no-deps --editable .
+	build/latest/bin/python -m pytest -n $(JOBS) -m "not benchmark"
+
+sbom: setup-test setup-supply
+	mkdir -p build
+	$(BIN)/cyclonedx-py environment --output-reproducible --of JSON -o build/sbom.json $(BIN)/python
 
 setup-%:
 	@.ci/setup $(VENV) $* $(PYTHON)

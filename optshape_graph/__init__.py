@@ -15,23 +15,27 @@ from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Chessboard, Target
 
 if TYPE_CHECKING:
+    from optshape_graph.calibration.camera import CameraCalibration, calibrate_camera
     from optshape_graph.calibration.mocap import MocapCalibration, calibrate_mocap
     from optshape_graph.detection import Detections, detect_targets
     from optshape_graph.io import load_sensor, load_session, load_target, read_scan
-    from optshape_graph.mapping import Map, load_map, save_map
+    from optshape_graph.mapping import Map, load_map, map_recording, save_map
     from optshape_graph.pose import PoseEstimate, estimate_pose
 
 __version__ = "0.1.0"
 
 _HOME = {
+    "CameraCalibration": "calibration.camera",
     "Detections": "detection",
     "Map": "mapping",
     "MocapCalibration": "calibration.mocap",
     "PoseEstimate": "pose",
+    "calibrate_camera": "calibration.camera",
     "calibrate_mocap": "calibration.mocap",
     "detect_targets": "detection",
     "estimate_pose": "pose",
     "load_map": "mapping",
+    "map_recording": "mapping",
     "load_sensor": "io",
     "load_session": "io",
     "load_target": "io",
@@ -41,6 +45,7 @@ _HOME = {
 """Names that are imported when they are first used, and the subpackage that each comes from."""
 
 __all__ = [
+    "CameraCalibration",
     "Chessboard",
     "Detections",
     "EstimationError",
@@ -55,6 +60,7 @@ __all__ = [
     "Target",
     "UnobservableError",
     "__version__",
+    "calibrate_camera",
     "calibrate_mocap",
     "detect_targets",
     "estimate_pose",
@@ -62,6 +68,7 @@ __all__ = [
     "load_sensor",
     "load_session",
     "load_target",
+    "map_recording",
     "read_scan",
     "save_map",
 ]

@@ -57,6 +57,15 @@ class Tags(Value):
     centres: dict[int, tuple[float, float]]
     turn: float = 0.0
 
+    def corners(self, number: int) -> Floats:
+        """Return the corners (4, 2) of one tag, (y, z), metres, in OpenCV's order.
+
+        Clockwise from the top left, as the viewer on the -x side sees them, to whom y points left.
+        """
+        upright = 0.5 * self.size * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+        c, s = np.cos(self.turn), np.sin(self.turn)
+        return np.asarray(upright @ np.array([[c, s], [-s, c]]) + np.array(self.centres[number]))
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Target(Value):

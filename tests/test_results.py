@@ -113,7 +113,7 @@ def test_tables_become_data_frames(results: list[Result], detections: Detections
 
 
 def test_sweeps_are_tables(tmp_path: Path) -> None:
-    for library in ("joblib", "pyarrow", "matplotlib"):
+    for library in ("pyarrow", "matplotlib"):
         pytest.importorskip(library)
     sweep = SimulationSweep(
         load_target("paper"), methods=("global",), distances=(4.0, 6.0), noise=("0",), draws=1,

@@ -9,6 +9,9 @@ TRUSTED = "to be trusted"
 WITH_CARE = "to be trusted, the warnings being read"
 NOT_TRUSTED = "not to be trusted"
 
+MOST_DOUBTED = 1 / 3
+"""Share of the scans used that may be doubtful by chance, or by what one scan has of its own."""
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -28,3 +31,16 @@ def verdict(findings: Sequence[Finding]) -> str:
     if any(finding.grave for finding in findings):
         return NOT_TRUSTED
     return WITH_CARE if findings else TRUSTED
+
+
+def of_doubts(doubts: Sequence[str]) -> list[Finding]:
+    """Judge scans whose returns do not fit the target as they should: one may be by chance, many are not.
+
+    Args:
+        doubts: of every scan used, "" where there is none.
+    """
+    doubted = [doubt for doubt in doubts if doubt]
+    if MOST_DOUBTED * len(doubts) >= len(doubted):
+        return []
+    text = f"{len(doubted)} of {len(doubts)} scans do not fit the target as they should; the first: {doubted[0]}"
+    return [Finding(text, 2 * len(doubted) > len(doubts))]

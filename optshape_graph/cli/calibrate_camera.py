@@ -7,16 +7,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from optshape_graph.cli.options import outside_option
+from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.html_report import conclude, report_option
+from optshape_graph.cli.options import force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
-    from optshape_graph.calibration.camera.calibrate import CameraCalibration
+    from optshape_graph.calibration.camera import CameraCalibration
 
 
 @click.command()
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@report_option
 @plot_option("errors of the views, and for each its image with the returns and outlines", "--overlays")
 @click.option("--camchain", type=click.Path(path_type=Path), help="Write a Kalibr-style camchain to this file.")
 @click.option("--use-target-points", is_flag=True, help="Take the targets' returns from the views' manual crops.")
@@ -33,11 +36,14 @@ if TYPE_CHECKING:
     show_default=True,
     help="Prior standard deviation of a LiDAR's range bias, metres; 0: it has none.",
 )
+@force_option
 @outside_option
 def command(
     session: Path,
     allow_outside: bool,
+    force: bool,
     json_path: Path | None,
+    html: Path | None,
     plots: Path | None,
     camchain: Path | None,
     use_target_points: bool,
@@ -46,49 +52,58 @@ def command(
 ) -> int:
     """Calibrate T_camera_lidar from scans and images of targets; no initial guess is needed.
 
-    Errors are leave-one-out: each view is predicted by the extrinsic of the others. Exit status 3: some views took no
-    part; the result is that of the others.
+    Errors are leave-one-out: each view is predicted by the extrinsic of the others. T_camera_lidar is for clouds as
+    they come. Exit status 3: some views took no part, or the result is not to be trusted; it is written all the same,
+    with the reasons.
     """
-    from optshape_graph.calibration.camera.calibrate import calibrate
-    from optshape_graph.calibration.camera.export import as_document, kalibr_camchain
-    from optshape_graph.calibration.camera.graph import Unknowns
-    from optshape_graph.calibration.camera.session import read_views
+    from optshape_graph.calibration.camera import calibrate_camera
+    from optshape_graph.calibration.camera.checks import check_camchain
+    from optshape_graph.calibration.camera.export import kalibr_camchain
     from optshape_graph.cli.console import progress_bar
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_session
     from optshape_graph.io.documents import write_json, write_yaml
 
-    with progress_bar("images and scans") as progress:
-        views = read_views(load_session(session, allow_outside=allow_outside), use_target_points, progress)
-    with progress_bar("cross-validation") as progress:
-        calibration = calibrate(views, Unknowns(range_bias_sigma, refine_intrinsics), progress)
+    loaded = load_session(session, allow_outside=allow_outside)
+    outputs = Outputs([session, *loaded.files()], force=force)
+    outputs.file("--json", json_path, "camera-calibration")
+    outputs.file("--camchain", camchain)
+    outputs.file("--report", html)
+    outputs.folder("--plot", plots)
+    if camchain:
+        check_camchain(loaded)
+    with progress_bar("images, scans and cross-validation") as progress:
+        calibration = calibrate_camera(
+            loaded,
+            use_target_points=use_target_points,
+            refine_intrinsics=refine_intrinsics,
+            range_bias_sigma=range_bias_sigma,
+            progress=progress,
+        )
     if json_path:
-        write_json(json_path, as_document(calibration))
+        write_json(json_path, calibration.to_dict())
     if camchain:
         write_yaml(camchain, kalibr_camchain(calibration))
     _print(calibration)
-    if calibration.refined and refine_intrinsics is None:
-        click.echo(
-            "optshape: lens and extrinsic go together; for an extrinsic that goes with the given intrinsics: "
-            "--keep-intrinsics",
-            err=True,
-        )
-    if plots:
+    pictures = Pictures(plots) if plots else None
+    if plots and pictures:
         from optshape_graph.viz.camera import plot_view_errors, save_overlays
 
-        pictures = Pictures(plots)
         pictures.save("errors", plot_view_errors(calibration))
         with progress_bar("overlays") as progress:
             pictures.paths += save_overlays(calibration, plots, progress)
         pictures.tell()
-    return 0 if all(result.used for result in calibration.views) else 3
+    for warning in calibration.warnings:
+        warn(f"warning: {warning}")
+    say(f"The calibration is {calibration.verdict}.")
+    conclude(calibration.to_dict(), html, pictures.paths if pictures else ())
+    return 0 if calibration.trusted and all(result.used for result in calibration.views) else 3
 
 
 def _print(calibration: CameraCalibration) -> None:
     import numpy as np
 
-    from optshape_graph.calibration.camera.export import static_transforms
     from optshape_graph.cli.console import print_table
-    from optshape_graph.se3 import inverse, inverse_covariance
 
     rows = []
     for result in calibration.views:
@@ -112,53 +127,66 @@ def _print(calibration: CameraCalibration) -> None:
     )
     for result in calibration.views:
         if not result.used:
-            click.echo(f"optshape: not used: {result.view.name}: {result.reason}", err=True)
+            warn(f"not used: {result.view.name}: {result.reason}")
     for camera in calibration.cameras:
         for lidar in calibration.lidars:
-            T, covariance = calibration.transform(camera, lidar)
-            T_inverse, covariance_inverse = inverse(T), inverse_covariance(T, covariance)
-            _print_transform(f"T_{camera}_{lidar}", T, covariance)
-            _print_transform(f"T_{lidar}_{camera}", T_inverse, covariance_inverse)
-            lines = static_transforms(lidar, camera, T_inverse)
-            click.echo("\n".join([lines["ros1"], lines["ros2"], f"URDF: {lines['urdf']}"]))
-            bias, sigma = calibration.range_bias(lidar)
-            inset = np.degrees(calibration.edge_inset(lidar))
-            lie = f"; its last returns lie {inset:.2f} deg inside the targets' edges" if np.isfinite(inset) else ""
-            click.echo(
-                f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far){lie}"
-            )
-            click.echo(f"worst direction: {calibration.directions(lidar, camera)[0].text} (sd)")
-            if (place := calibration.next_placement(lidar, camera)) is not None:
-                x, y, z = place.T_lidar_target[:3, 3]
-                click.echo(
-                    f"a view with the target at ({x:.1f}, {y:.1f}, {z:.1f}) m, turned {place.yaw_deg:+.0f} deg and "
-                    f"tilted {place.pitch_deg:+.0f} deg from facing the LiDAR, would make the worst direction "
-                    f"{1e3 * place.expected_sigma_m:.1f} mm instead of {1e3 * place.sigma_m:.1f}"
-                )
+            _print_pair(calibration, camera, lidar)
     for (lidar, name), shape in calibration.shapes.items():
         numbers = [" ".join(f"{1e3 * side:.0f}" for side in sides) for sides in (
             shape.joint.sides, np.sqrt(np.diag(shape.joint.sides_covariance)), shape.target.edge_lengths,
         )]  # fmt: skip
         verdict = "agrees with" if shape.agrees else "CONTRADICTS"
-        click.echo(
+        say(
             f"sides of {name} by {lidar}, vertices free: {numbers[0]} mm, sd {numbers[1]} (mostly common: the beam's "
             f"width); by its file: {numbers[2]}; single scans are off by {1e3 * shape.mean_absolute_error:.1f} mm on "
             f"average; that {verdict} the file"
         )
-    for warning in calibration.warnings:
-        click.echo(f"optshape: warning: {warning}", err=True)
 
 
-def _print_transform(name: str, T: object, covariance: object) -> None:
+def _print_pair(calibration: CameraCalibration, camera: str, lidar: str) -> None:
     import numpy as np
 
-    from optshape_graph.cli.console import print_table
+    from optshape_graph.calibration.camera.static_transforms import static_transforms
+    from optshape_graph.cli.console import print_transform
+    from optshape_graph.se3 import inverse, inverse_covariance
 
-    sd = np.sqrt(np.diag(np.asarray(covariance)))
-    print_table(
-        name,
-        ["row", "", "", "", ""],
-        [[str(k), *(f"{value:.6f}" for value in row)] for k, row in enumerate(np.asarray(T))],
-        "sd: rotation " + " ".join(f"{value:.3f}" for value in np.degrees(sd[:3]))
-        + " deg, translation " + " ".join(f"{1e3 * value:.1f}" for value in sd[3:]) + " mm",
-    )  # fmt: skip
+    lens = "the refined lens" if camera in calibration.refined else "the lens as given"
+    T, covariance = calibration.transform(camera, lidar)
+    T_inverse, covariance_inverse = inverse(T), inverse_covariance(T, covariance)
+    print_transform(f"T_{camera}_{lidar}", f"for clouds as they come, and {lens}", T, covariance)
+    print_transform(f"T_{lidar}_{camera}", "its inverse", T_inverse, covariance_inverse)
+    bias, sigma = calibration.range_bias(lidar)
+    if calibration.corrected is not None:
+        meaning = f"for clouds with the range bias of {1e3 * bias:+.1f} mm subtracted from every range, and {lens}"
+        print_transform(
+            f"T_{camera}_{lidar}_corrected", meaning, *calibration.transform(camera, lidar, calibration.corrected)
+        )
+    if calibration.given is not None and camera in calibration.refined:
+        print_transform(
+            f"T_{camera}_{lidar}_given_lens", "for clouds as they come, and the lens as given",
+            *calibration.transform(camera, lidar, calibration.given),
+        )  # fmt: skip
+        _print_lens(calibration, camera)
+    lines = static_transforms(lidar, camera, T_inverse)
+    for line in (lines["ros1"], lines["ros2"], f"URDF: {lines['urdf']}"):
+        say(line)
+    inset = np.degrees(calibration.edge_inset(lidar))
+    lie = f"; its last returns lie {inset:.2f} deg inside the targets' edges" if np.isfinite(inset) else ""
+    say(f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far){lie}")
+    say(f"worst direction: {calibration.directions(lidar, camera)[0].text} (sd)")
+    if (place := calibration.next_placement(lidar, camera)) is not None:
+        x, y, z = place.T_lidar_target[:3, 3]
+        say(
+            f"a view with the target at ({x:.1f}, {y:.1f}, {z:.1f}) m, turned {place.yaw_deg:+.0f} deg and "
+            f"tilted {place.pitch_deg:+.0f} deg from facing the LiDAR, would make the worst direction "
+            f"{1e3 * place.expected_sigma_m:.1f} mm instead of {1e3 * place.sigma_m:.1f}"
+        )
+
+
+def _print_lens(calibration: CameraCalibration, camera: str) -> None:
+    assert calibration.given is not None
+    for words, rig in (("refined", calibration.rig), ("given", calibration.given)):
+        lens = rig.cameras[camera]
+        K = " ".join(f"{lens.K[i, j]:.2f}" for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        say(f"{words} lens of {camera}: fx fy cx cy {K} px, distortion {' '.join(f'{k:.5f}' for k in lens.D)}")
+    say("")

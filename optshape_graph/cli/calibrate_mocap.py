@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from optshape_graph.cli.options import outside_option
+from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.html_report import conclude, report_option
+from optshape_graph.cli.options import force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -19,10 +21,18 @@ if TYPE_CHECKING:
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
 @click.option("--estimate-scale", is_flag=True, help="Estimate the motion capture's scale too; else it is 1.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@force_option
+@report_option
 @plot_option("errors of the scans, where the target stood, where the markers are")
 @outside_option
 def command(
-    session: Path, estimate_scale: bool, json_path: Path | None, plots: Path | None, allow_outside: bool = False
+    session: Path,
+    estimate_scale: bool,
+    json_path: Path | None,
+    plots: Path | None,
+    html: Path | None = None,
+    force: bool = False,
+    allow_outside: bool = False,
 ) -> int:
     """Calibrate T_lidar_mocap and the marker layout of a session, and compare the estimates with the markers.
 
@@ -31,19 +41,25 @@ def command(
     """
     from optshape_graph.calibration.mocap import calibrate_mocap
     from optshape_graph.cli.console import print_table, print_transform, progress_bar
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_session
     from optshape_graph.io.documents import write_json
 
     loaded = load_session(session, allow_outside=allow_outside)
+    outputs = Outputs([session, *loaded.files()], force=force)
+    outputs.file("--json", json_path, "mocap")
+    outputs.file("--report", html)
+    outputs.folder("--plot", plots)
     with progress_bar("estimating") as progress:
         result = calibrate_mocap(loaded, estimate_scale=estimate_scale, progress=progress)
     for item in result.left_out:
-        click.echo(f"optshape: left out {item.scan}: {item.reason}", err=True)
+        warn(f"left out {item.scan}: {item.reason}")
     if json_path:
         write_json(json_path, result.to_dict())
     _print_errors(print_table, result.leave_one_out, result.in_sample)
     if result.scale_sigma:
-        click.echo(f"scale of the motion capture: {result.scale:.4f} +- {result.scale_sigma:.4f}\n")
+        say(f"scale of the motion capture: {result.scale:.4f} +- {result.scale_sigma:.4f}")
+        click.echo()
     print_transform(
         "T_lidar_mocap", "motion-capture points into the LiDAR frame", result.T_lidar_mocap, result.covariance
     )
@@ -51,17 +67,18 @@ def command(
         "T_mocap_lidar", "LiDAR points into the motion-capture frame", result.T_mocap_lidar,
         result.covariance_mocap_lidar,
     )  # fmt: skip
-    if plots:
+    pictures = Pictures(plots) if plots else None
+    if pictures:
         from optshape_graph.viz.mocap import plot_calibration_errors, plot_marker_layout, plot_placements
 
-        pictures = Pictures(plots)
         pictures.save("errors", plot_calibration_errors(result))
         pictures.save("placements", plot_placements(result))
         pictures.save("markers", plot_marker_layout(result))
         pictures.tell()
     for warning in result.warnings:
-        click.echo(f"optshape: warning: {warning}", err=True)
-    click.echo(f"The calibration is {result.verdict}.")
+        warn(f"warning: {warning}")
+    say(f"The calibration is {result.verdict}.")
+    conclude(result.to_dict(), html, pictures.paths if pictures else ())
     return 0 if result.trusted and not result.left_out else 3
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -101,6 +102,11 @@ def print_transform(name: str, meaning: str, T: NDArray[np.float64], covariance:
     click.echo(f"  sd: rotation {rotation} deg, translation {translation} mm\n")
 
 
+def terminal() -> bool:
+    """Whether standard error is a terminal that can move its cursor."""
+    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+
+
 @contextmanager
 def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     """Show on standard error how far the block is: a bar on a terminal, else a line a minute.
@@ -111,13 +117,13 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     Yields:
         A function to call with how much is done, and of how much.
     """
+    if not terminal():
+        yield _lines_of_progress(what)
+        return
     from rich.console import Console
     from rich.progress import Progress
 
     console = Console(stderr=True)
-    if not console.is_terminal or console.is_dumb_terminal:
-        yield _lines_of_progress(what)
-        return
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task(what, total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)

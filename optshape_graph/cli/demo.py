@@ -6,6 +6,9 @@ from pathlib import Path
 
 import click
 
+from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.options import FOLDER, force_option
+
 EXPLANATION = """\
 What this was: eight scans of a target with motion-capture markers near its vertices, simulated with a VLP-32C at 4 to
 10 m, face-on and angled. The first table compares where the LiDAR sees the target with where the markers say it is:
@@ -26,16 +29,25 @@ Your own: optshape estimate SCAN.pcd --target board.yaml --sensor vlp32c --plot 
 
 
 @click.command()
-@click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), default=Path("optshape-demo"),
+@click.option("-o", "--output", type=FOLDER, default=Path("optshape-demo"),
               show_default=True, help="Folder for the results.")  # fmt: skip
+@force_option
 @click.pass_context
-def command(ctx: click.Context, output: Path) -> int:
-    """Calibrate a bundled session of a LiDAR to motion capture: a result and pictures, in seconds."""
+def command(ctx: click.Context, output: Path, force: bool) -> int:
+    """Calibrate a bundled session of a LiDAR to motion capture: a result and pictures, in seconds.
+
+    An older demo in the folder is replaced; other files of the same names only with --force.
+    """
     from optshape_graph.cli import calibrate_mocap
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.errors import InputError, MissingExtraError
     from optshape_graph.io import demo_folder, load_session, read_scan
     from optshape_graph.pose import estimate_pose
 
+    outputs = Outputs(force=force)
+    outputs.folder("--output", output, ["mocap.json"], "mocap")
+    if not (output / "mocap.json").exists():  # then pictures are nobody's older demo
+        outputs.folder("--output", output, ["fit.png", "errors.png", "placements.png", "markers.png"], replace=False)
     session = load_session(demo_folder() / "session.yaml")
     try:
         output.mkdir(parents=True, exist_ok=True)
@@ -48,7 +60,7 @@ def command(ctx: click.Context, output: Path) -> int:
         new_figure()
     except MissingExtraError as error:
         plots = None
-        click.echo(f"optshape: no pictures: {error}", err=True)
+        warn(f"no pictures: {error}")
     status: int = ctx.invoke(
         calibrate_mocap.command,
         session=session.path,
@@ -63,10 +75,11 @@ def command(ctx: click.Context, output: Path) -> int:
         view = session.views[3]
         scan = read_scan(view.scan, session.lidars[view.lidar])
         figure = plot_fit(scan, estimate_pose(scan, next(iter(session.targets.values()))))
-        click.echo(f"picture: {save_figure(figure, output / 'fit.png')}")
-    click.echo(f"result: {output / 'mocap.json'}\n")
+        say(f"picture: {save_figure(figure, output / 'fit.png')}")
+    say(f"result: {output / 'mocap.json'}")
+    click.echo()
     click.echo(EXPLANATION, nl=False)
     if plots:
         click.echo(PICTURES)
-        click.echo(f"Look at {output / 'fit.png'} first.")
+        say(f"Look at {output / 'fit.png'} first.")
     return status

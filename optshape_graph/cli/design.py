@@ -8,37 +8,78 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.cli.console import say
+from optshape_graph.cli.design_choose import choose, measured, optimise_poses
+from optshape_graph.cli.options import (
+    DISTANCE,
+    FILE,
+    FOLDER,
+    POSITIVE,
+    Number,
+    force_option,
+    pool_options,
+    seed_option,
+)
+
 if TYPE_CHECKING:
     from optshape_graph.design.judgement import Judgement
+    from optshape_graph.design.sheets import Orientation
+    from optshape_graph.runs.workers import Pool
 
-FILE = click.Path(dir_okay=False, path_type=Path)
-FOLDER = click.Path(file_okay=False, path_type=Path)
-STUDIED = ("square", "diamond", "triangle", "paper", "built@1", "optimal", "optimal3", "optimal5")
+STUDIED = ("square", "diamond", "triangle", "paper", "built@1", "score-optimal", "pose-optimal")
 PAPERS = click.Choice(["A0", "A1", "A2", "A3", "A4"], case_sensitive=False)
+
+
+SCORE_COLUMNS = """\b
+shortest m      the shortest edge
+six rotations   the paper's score, worst of its six rotations; every 1, 0.1 deg: worst of all orientations. How far
+                the rings' end points move along the rings under the worst small motion: more is better
+asymmetry       share of itself that the shape uncovers when it is turned by the angle at which it is most like
+                itself: 0: symmetric, its pose is ambiguous; below about 0.15 a stray return can turn it
+e_t             bound on the distance between the estimated and the true origin of the target, mm
+e_r             bound on the angle between the estimated and the true rotation, deg; in plane: about the normal
+
+No unbiased estimate has a smaller root mean square error than the bound. An infinite one: rings that end on two
+parallel edges only, as on a square that stands upright, leave the pose undetermined.
+
+\b
+Example:
+  optshape design score paper pose-optimal board.yaml --sensor os0-64 --distance 15
+"""
 
 
 @click.group()
 def command() -> None:
     """Design target shapes: find one, judge them, draw one at 1:1.
 
-    A SHAPE is a built-in name (square, paper, optimal, ...), NAME@AREA in m2, or a target file.
+    A SHAPE is a built-in name (square, paper, pose-optimal, ...), NAME@AREA in m2, or a target file.
     """
 
 
+command.add_command(choose)
+command.add_command(measured)
+command.add_command(optimise_poses)
+
+
 @command.command()
-@click.option("--sides", default=4, show_default=True, help="Sides of the polygon.")
-@click.option("--rings", nargs=2, type=int, default=(5, 4), show_default=True, help="Areas, and rings in each.")
+@click.option("--sides", type=click.IntRange(3, 24), default=4, show_default=True, help="Sides of the polygon.")
+@click.option(
+    "--rings", nargs=2, type=click.IntRange(1, 100), default=(5, 4), show_default=True, help="Areas, and rings in each."
+)
 @click.option("--sensor", help="Take the rings of this sensor instead (name or file), at --distance.")
-@click.option("--distance", type=float, default=10.0, show_default=True, help="Of the target from the sensor, m.")
-@click.option("--area", type=float, default=1.0, show_default=True, help="Of the target, m2.")
-@click.option("--shortest-edge", type=float, help="At least, m.  [default: 0.4 for 1 m2, and in proportion]")
-@click.option("--smallest-angle-deg", type=float, help="At least, between two edges.")
-@click.option("--aspect", type=float, help="At most: the diameter over the smallest width.")
-@click.option("--asymmetry", type=float, default=0.12, show_default=True, help="At least; 0 allows symmetric shapes.")
+@click.option("--distance", type=DISTANCE, default=10.0, show_default=True, help="Of the target from the sensor, m.")
+@click.option("--area", type=Number(1e-6, 1000.0), default=1.0, show_default=True, help="Of the target, m2.")
+@click.option("--shortest-edge", type=POSITIVE, help="At least, m.  [default: 0.4 for 1 m2, and in proportion]")
+@click.option("--smallest-angle-deg", type=Number(0.0, 180.0), help="At least, between two edges.")
+@click.option("--aspect", type=Number(1.0, 1000.0), help="At most: the diameter over the smallest width.")
+@click.option(
+    "--asymmetry", type=Number(0.0, 10.0), default=0.12, show_default=True, help="At least; 0 allows symmetric shapes."
+)
 @click.option("--sheet", type=PAPERS, help="The target fits on this sheet whole.")
-@click.option("--starts", default=64, show_default=True, help="Random starts.")
-@click.option("--seed", default=0, show_default=True, help="Of the starts: the same seed finds the same shape.")
-@click.option("--workers", default=1, show_default=True, help="Processes; the result does not depend on it.")
+@click.option("--starts", type=click.IntRange(1, 100_000), default=64, show_default=True, help="Random starts.")
+@seed_option("Of the starts: the same seed finds the same shape.")
+@pool_options
+@force_option
 @click.option("--name", help="Of the target.  [default: the output's]")
 @click.option("--plots", type=FOLDER, help="Write plots of the result here.")
 @click.option("-o", "--output", type=FILE, default=Path("target.yaml"), show_default=True, help="Target file to write.")
@@ -55,17 +96,20 @@ def optimise(
     sheet: str | None,
     starts: int,
     seed: int,
-    workers: int,
+    pool: Pool | None,
+    force: bool,
     name: str | None,
     plots: Path | None,
     output: Path,
 ) -> None:
-    """Find the shape whose worst score is best.
+    """Find the shape whose worst score is best: the paper's aim. For poses: `optimise-poses`.
 
     The worst is taken over every orientation and every partly lit area. Finished starts are kept in OUTPUT's folder,
-    in a folder named after it; run the same command again to go on after an interruption.
+    in a folder named after it; run the same command again to go on after an interruption. A target file that no search
+    of that name has made is written over only with --force.
     """
     from optshape_graph.cli.console import progress_bar
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.design.family import Family
     from optshape_graph.design.judgement import judge
     from optshape_graph.design.limits import SHEETS, Limits
@@ -75,6 +119,16 @@ def optimise(
     from optshape_graph.io.sensors import load_sensor
     from optshape_graph.io.targets import save_target
 
+    folder = output.with_suffix(".starts")
+    outputs = Outputs([sensor], force=force)
+    outputs.folder("--output", folder)
+    if output.exists() or output.parent.is_dir():  # else its folder is made with that of the starts
+        outputs.file("--output", output, "target", replace=folder.is_dir())
+    outputs.folder("--plots", plots)
+    if plots is not None:
+        from optshape_graph.viz.style import new_figure
+
+        new_figure()  # whether there is matplotlib: better known before the search than after it
     limits = Limits(
         area=area,
         shortest_edge=0.4 * max(area, 0.0) ** 0.5 if shortest_edge is None else shortest_edge,
@@ -86,10 +140,10 @@ def optimise(
     lit = SensorRings.of(load_sensor(sensor), distance, area=area) if sensor else UniformRings(*rings)
     problem = Problem(Family(sides), lit, limits)
     with progress_bar("starts") as progress:
-        found = search(problem, starts, seed, workers, output.with_suffix(".starts"), progress)
+        found = search(problem, starts, seed, pool, folder, progress)
     target = found.target(name or output.stem)
     save_target(output, target)
-    click.echo(f"best of {starts} starts (number {found.best.index}): score {found.best.score:.5f}; wrote {output}")
+    say(f"best of {starts} starts (number {found.best.index}): score {found.best.score:.5f}; wrote {output}")
     judgement = judge(target)
     _show([judgement])
     if plots is not None:
@@ -103,24 +157,33 @@ def optimise(
         save_figure(viz.plot_convexity(), plots / "convexity.png")
 
 
-@command.command()
+@command.command(epilog=SCORE_COLUMNS)
 @click.argument("shapes", nargs=-1, required=True, metavar="SHAPE...")
 @click.option("--sensor", default="vlp32c", show_default=True, help="To bound the pose for: name or file.")
-@click.option("--distance", type=float, default=10.0, show_default=True, help="Of the target from it, m.")
+@click.option("--distance", type=DISTANCE, default=10.0, show_default=True, help="Of the target from it, m.")
 @click.option("--plot", type=FILE, help="Write a plot that compares the shapes.")
 @click.option("-o", "--output", type=FILE, help="Write the numbers as JSON.")
-def score(shapes: tuple[str, ...], sensor: str, distance: float, plot: Path | None, output: Path | None) -> None:
+@force_option
+def score(
+    shapes: tuple[str, ...], sensor: str, distance: float, plot: Path | None, output: Path | None, force: bool
+) -> None:
     """Judge shapes: score, symmetry, and the Cramer-Rao bound on the pose.
 
     Scores are those of the shape at 1 m2; the bound is that of the shape at the size it has, facing the sensor, over
     36 orientations and 3 heights: the median and the worst.
     """
     from optshape_graph.cli.console import progress_bar
+    from optshape_graph.cli.outputs import Outputs
+    from optshape_graph.cli.plots import check_picture
     from optshape_graph.design.judgement import judge
     from optshape_graph.io.documents import write_json
     from optshape_graph.io.sensors import load_sensor
     from optshape_graph.io.targets import load_target
 
+    outputs = Outputs([*shapes, sensor], force=force)
+    outputs.file("--output", output, "design-scores")
+    outputs.picture("--plot", plot)
+    check_picture(plot)
     model = load_sensor(sensor)
     targets = [load_target(shape) for shape in shapes]
     judgements: list[Judgement] = []
@@ -143,65 +206,116 @@ def score(shapes: tuple[str, ...], sensor: str, distance: float, plot: Path | No
 @click.argument("shape")
 @click.option("--format", "suffix", type=click.Choice(["svg", "dxf", "pdf"]), default="pdf", show_default=True)
 @click.option("--paper", type=PAPERS, help="Spread SVG or PDF over sheets.  [default: one large sheet]")
+@click.option("--orientation", type=click.Choice(["auto", "portrait", "landscape"]), default="auto", show_default=True,
+              help="Of the sheets; auto: whichever needs fewer.")  # fmt: skip
+@click.option("--markers", "marker_inset", type=Number(0.0, 1000.0), default=0.0, metavar="MM",
+              help="Mark where motion-capture markers go: this far in from each corner.")  # fmt: skip
+@click.option("--holes", nargs=2, type=Number(0.0, 1000.0), default=(0.0, 30.0), metavar="MM MM",
+              help="Diameter of a hole at each corner, and how far in from it.")  # fmt: skip
 @click.option("-o", "--output", type=FILE, help="File to write.  [default: SHAPE.FORMAT]")
-def export(shape: str, suffix: str, paper: str | None, output: Path | None) -> None:
-    """Draw a target at 1:1: the face that the LiDAR sees, with its dimensions.
+@force_option
+def export(
+    shape: str,
+    suffix: str,
+    paper: str | None,
+    orientation: Orientation,
+    marker_inset: float,
+    holes: tuple[float, float],
+    output: Path | None,
+    force: bool,
+) -> None:
+    """Draw a target at 1:1: the face that the LiDAR sees, its dimensions, and what the file has printed on it.
+
+    A chessboard, tags, or both (ChArUco) are drawn black, and nothing over them. Several sheets come with a plan of
+    them. The parts are listed.
 
     The drawing is the mirror image of the vertex list, which is given as seen from behind. The target file that
-    everything else reads is written beside it.
+    everything else reads is written beside it, unless it is there. A drawing that is there is written over only with
+    --force.
     """
-    from optshape_graph.design.drawing import draw
+    from optshape_graph.cli.outputs import Outputs
+    from optshape_graph.design.drawing import Workshop, draw
     from optshape_graph.design.formats import export as write
+    from optshape_graph.design.formats import files_of
+    from optshape_graph.design.parts import parts_list
+    from optshape_graph.design.sheets import lay_out
     from optshape_graph.io.targets import load_target, save_target
+    from optshape_graph.names import file_name
 
     target = load_target(shape)
-    path = Path(f"{target.name}.{suffix}") if output is None else output
+    path = Path(f"{file_name(target.name)}.{suffix}") if output is None else output
     if path.suffix.lower() != f".{suffix}":
         raise click.UsageError(f"--format {suffix} writes a .{suffix} file; found {path}")
-    for written in write(draw(target), path, None if paper is None else paper.upper()):
-        click.echo(f"wrote {written}")
+    workshop = Workshop(marker_inset, *holes)
+    drawing, sheet = draw(target, workshop), None if paper is None else paper.upper()
     description = path.with_suffix(".yaml")
+    outputs = Outputs([shape], force=force)
+    for file in files_of(drawing, path, sheet, orientation):
+        outputs.new("--output", file)
+    sheets = lay_out(drawing, sheet, orientation) if suffix != "dxf" else None
+    parts = parts_list(target, workshop, sheets)
+    for written in write(drawing, path, sheet, orientation, parts):
+        say(f"wrote {written}")
+    say("parts:")
+    for part in parts:
+        say(f"  {part}")
     if not description.exists():
         save_target(description, target)
-        click.echo(f"wrote {description}")
+        say(f"wrote {description}")
 
 
 @command.command()
-@click.option("--shapes", default=33, show_default=True, help="Random shapes, beside the built-in ones.")
+@click.option(
+    "--shapes",
+    type=click.IntRange(0, 10_000),
+    default=33,
+    show_default=True,
+    help="Random shapes, beside the built-in ones.",
+)
 @click.option("--sensor", default="vlp32c", show_default=True, help="Name or file.")
 @click.option("--distances", default="8,14,20", show_default=True, help="Of the target, m.")
-@click.option("--placements", default=16, show_default=True, help="At each distance.")
-@click.option("--seed", default=0, show_default=True, help="Of shapes, placements and noise.")
-@click.option("--workers", default=1, show_default=True, help="Processes; the result does not depend on it.")
+@click.option("--placements", type=click.IntRange(1, 10_000), default=16, show_default=True, help="At each distance.")
+@seed_option("Of shapes, placements and noise.")
+@pool_options
+@force_option
 @click.option("-o", "--output", type=FOLDER, default=Path("study"), show_default=True, help="Folder to write to.")
-def study(shapes: int, sensor: str, distances: str, placements: int, seed: int, workers: int, output: Path) -> None:
+def study(
+    shapes: int, sensor: str, distances: str, placements: int, seed: int, pool: Pool | None, force: bool, output: Path
+) -> None:
     """Ask whether a better score means a better pose: simulate shapes of 1 m2, and estimate their poses.
 
     Writes the numbers, a plot, and every finished shape; run it again to go on after an interruption.
     """
     from optshape_graph.cli.console import progress_bar
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.evaluation.shape_study import random_placements, random_shapes, study_shapes
     from optshape_graph.io.documents import write_json
     from optshape_graph.io.sensors import load_sensor
     from optshape_graph.io.targets import load_target
     from optshape_graph.viz.design import plot_study
-    from optshape_graph.viz.style import save_figure
+    from optshape_graph.viz.style import new_figure, save_figure
 
+    new_figure()  # whether there is matplotlib: better known before the study than after it
+    outputs = Outputs([sensor], force=force)
+    if (output / "shapes" / "sweep.json").exists():  # an older study is replaced
+        outputs.folder("--output", output)
+    else:
+        outputs.folder("--output", output, ["study.json", "study.png"], replace=False)
     try:
-        metres = [float(text) for text in distances.split(",")]
-    except ValueError as error:
-        raise click.BadParameter(f"expected numbers with commas between, found '{distances}'") from error
+        metres = [DISTANCE.convert(text, None, None) for text in distances.split(",")]
+    except click.BadParameter as error:
+        raise click.BadParameter(
+            f"expected numbers with commas between, found '{distances}': {error.message}"
+        ) from error
     targets = [load_target(name) for name in STUDIED] + random_shapes(shapes, seed)
     poses = random_placements(metres, placements, seed)
     with progress_bar("shapes") as progress:
-        found = study_shapes(
-            targets, load_sensor(sensor), poses, seed, output / "shapes", workers=workers, progress=progress
-        )
+        found = study_shapes(targets, load_sensor(sensor), poses, seed, output / "shapes", pool=pool, progress=progress)
     for name, text in (("score", "score"), ("bound_r", "Cramer-Rao bound")):
         result = found.correlation(name)
-        click.echo(f"rank correlation of the {text} with the median e_r: {result.rho:+.2f} (p = {result.p_value:.1g})")
+        say(f"rank correlation of the {text} with the median e_r: {result.rho:+.2f} (p = {result.p_value:.1g})")
     write_json(output / "study.json", {"schema": "optshape/design-study/1", **found.summary()})
-    click.echo(f"wrote {output / 'study.json'}")
+    say(f"wrote {output / 'study.json'}")
     save_figure(plot_study(found), output / "study.png")
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from optshape_graph.cli.estimate import drawn
-from optshape_graph.cli.options import FILE, force_option, pool_options
+from optshape_graph.cli.html_report import report_option
+from optshape_graph.cli.options import FILE, columns_option, force_option, pool_options, sensor_option
 from optshape_graph.cli.plots import names_of, plot_option, save_picture
 
 if TYPE_CHECKING:
@@ -20,52 +21,63 @@ if TYPE_CHECKING:
 BYTES = 60_000
 """Of an entry of the document and its line in the journal, about: what the disk must have room for."""
 
+MOST_REJECTED = 3
+"""Surfaces that are shown of a scan in which nothing is found: those that passed the most tests."""
+
 
 @click.command()
 @click.argument("scans", nargs=-1, required=True, metavar="SCAN...")
 @click.option("--target", "targets", required=True, multiple=True,
               help="Built-in name, NAME@AREA in m2, or target file; once for each target to look for.")  # fmt: skip
-@click.option("--sensor", help="Built-in name or sensor file. Without it: rings from the cloud, noise of a centimetre.")
+@sensor_option
+@columns_option
 @click.option("--json", "json_path", type=FILE, help="Write the results to this file; until it is whole they are kept "
               "in FILE.journal, from which the same command goes on.")  # fmt: skip
 @pool_options
 @force_option
+@report_option
 @plot_option("for every scan what was found in it, and the fit of every target found")
 def command(
     scans: tuple[str, ...],
     targets: tuple[str, ...],
     sensor: str | None,
+    columns: tuple[str, ...] | None,
     json_path: Path | None,
     pool: Pool | None,
     force: bool,
+    html: Path | None,
     plots: Path | None,
 ) -> int:
-    """Find targets in each SCAN (PCD, PLY, NPZ or CSV), a full revolution, and tell them apart by shape.
+    """Find targets in each SCAN, a full revolution, and tell them apart by shape.
+
+    `optshape info` says what a cloud holds, in whatever form.
 
     A SCAN is a file, a folder of clouds, a pattern in quotes ('drive/*.pcd'), or @LIST: a text file with a name on each
     line.
 
     `return_indices` in the JSON count the cloud's returns from 0, in its order, without points that are no returns
     (not finite, or at the origin); `doubtful_indices` are further returns that the pose rests on, at the target's rim
-    or with much noise. What was looked at and is no target is listed with the reason.
+    or with much noise. What was looked at and is no target is listed with the
+    reason, what came nearest to a target first.
 
     Exit status 3: some scans could not be used, or a target's shape or pose is ambiguous; the results of the others
     are written.
     """
     from optshape_graph.cli.console import progress_bar
-    from optshape_graph.cli.inputs import scan_paths
+    from optshape_graph.cli.inputs import scan_paths, sensor_of
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.cli.report import report
     from optshape_graph.detection.files import DetectFile
-    from optshape_graph.io import load_sensor, load_target
+    from optshape_graph.io import load_target
     from optshape_graph.runs.files import run_files
 
     paths = scan_paths(scans)
     outputs = Outputs([*paths, *targets, sensor], force=force)
     outputs.file("--json", json_path, "detect", bytes_needed=BYTES * len(paths))
+    outputs.file("--report", html)
     outputs.folder("--plot", plots)
     draw = Draw(plots, names_of(paths)) if plots else None
-    detect = DetectFile(tuple(map(load_target, targets)), load_sensor(sensor) if sensor else None, draw)
+    detect = DetectFile(tuple(map(load_target, targets)), sensor_of(sensor, paths, columns), columns, draw)
     with (
         progress_bar("detecting") as progress,
         run_files(detect, paths, detect.failed, form="detect", describe=detect.describe() | drawn(plots),
@@ -76,9 +88,11 @@ def command(
             "T_lidar_target",
             ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "fit", "margin"],
             rows,
-            "score: 0 to 1. fit: chi-square per degree of freedom of plane / edges, or what makes the pose doubtful. "
-            "margin: log likelihood to the next of the targets asked for, where one fits as well.",
+            "score: 0 to 1. fit: chi-square per degree of freedom of plane / edges, or what makes a pose doubtful, or "
+            "the surface no target. margin: log likelihood to the next target asked for, where one fits as well.",
             json_path,
+            html,
+            "detect",
         )
 
 
@@ -105,12 +119,27 @@ class Draw:
 
 
 def rows(entry: dict[str, Any], status: str) -> list[list[str]]:
-    """Return the rows of an entry of the document: one for each target found."""
+    """Return the rows of an entry of the document: one for each target found; of none, what came nearest to one."""
     name = Path(entry["scan"]).name
     if "error" in entry:
         return [[name, "failed", *[""] * 8]]
     if not entry["targets"]:
-        return [[name, "none", *[""] * 7, f"{len(entry['rejected'])} rejected"]]
+        return [
+            [name, "none", *[""] * 7, f"{len(entry['rejected'])} rejected"],
+            *(
+                [
+                    "",
+                    nearest["target"] or "",
+                    "rejected",
+                    *(f"{x:.3f}" for x in nearest["centre"]),
+                    "",
+                    str(nearest["returns"]),
+                    nearest["reason"],
+                    "",
+                ]
+                for nearest in entry["rejected"][:MOST_REJECTED]
+            ),
+        ]
     return [
         [
             name,

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import click
 
+from optshape_graph.cli.console import say
 from optshape_graph.cli.environment import CORE, PURPOSES, SYSTEM, Found
+from optshape_graph.cli.options import FILE, force_option
 
 PYTHON = ((3, 11), (3, 15))
 """The oldest Python that is supported, and the first that is not."""
@@ -35,23 +37,26 @@ class Check:
 
 
 @click.command()
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the report to this file.")
-def command(json_path: Path | None) -> int:
+@click.option("--json", "json_path", type=FILE, help="Write the report to this file.")
+@force_option
+def command(json_path: Path | None, force: bool) -> int:
     """Look at the installation: versions, system libraries, extras, and whether a known pose is found.
 
     Every line that is not `ok` says what to do. Exit status: 0 if the core works, whatever extras are absent; else 1.
     """
     import optshape_graph
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io.documents import write_json
 
+    Outputs(force=force).file("--json", json_path, "doctor")
     checks = [*_versions(), *_libraries(), _self_check(), *_advice()]
     working = not any(check.core and check.status != "ok" for check in checks)
     for check in checks:
-        click.echo(f"{check.status:<7} {check.name}: {check.found}; {check.purpose}")
+        say(f"{check.status:<7} {check.name}: {check.found}; {check.purpose}")
         if check.to_do:
-            click.echo(f"        -> {check.to_do}")
+            say(f"        -> {check.to_do}")
     click.echo()
-    click.echo(_summary(checks, working))
+    say(_summary(checks, working))
     if json_path:
         document = {
             "schema": "optshape/doctor/1",

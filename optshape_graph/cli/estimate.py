@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from optshape_graph.cli.options import FILE, force_option, pool_options
+from optshape_graph.cli.html_report import report_option
+from optshape_graph.cli.options import FILE, columns_option, force_option, pool_options, sensor_option
 from optshape_graph.cli.plots import names_of, plot_option, save_picture
 
 if TYPE_CHECKING:
@@ -23,7 +24,8 @@ BYTES = 12_000
 @click.command()
 @click.argument("scans", nargs=-1, required=True, metavar="SCAN...")
 @click.option("--target", required=True, help="Built-in name, NAME@AREA in m2, or target file.")
-@click.option("--sensor", help="Built-in name or sensor file. Without it: rings from the cloud, noise of a centimetre.")
+@sensor_option
+@columns_option
 @click.option("--method", type=click.Choice(["global", "paper"]), default="global", show_default=True,
               help="'paper' is the published alternation, for comparison.")  # fmt: skip
 @click.option("--backend", type=click.Choice(["closed-form", "clarabel", "cvxpy"]), default="closed-form",
@@ -32,39 +34,45 @@ BYTES = 12_000
               "in FILE.journal, from which the same command goes on.")  # fmt: skip
 @pool_options
 @force_option
+@report_option
 @plot_option("for every scan the fit, edges, residuals and vertices, and the runner-up where ambiguous")
 def command(
     scans: tuple[str, ...],
     target: str,
     sensor: str | None,
+    columns: tuple[str, ...] | None,
     method: str,
     backend: str,
     json_path: Path | None,
     pool: Pool | None,
     force: bool,
+    html: Path | None,
     plots: Path | None,
 ) -> int:
-    """Estimate a target's pose in each SCAN (PCD, PLY, NPZ or CSV), which holds the target's returns and no others.
+    """Estimate a target's pose in each SCAN, which holds the target's returns and no others.
+
+    `optshape info` says what a cloud holds, in whatever form.
 
     A SCAN is a file, a folder of clouds, a pattern in quotes ('drive/*.pcd'), or @LIST: a text file with a name on each
     line. Exit status 3: some scans failed, or are doubtful or ambiguous; the results of
     the others are written.
     """
     from optshape_graph.cli.console import progress_bar
-    from optshape_graph.cli.inputs import scan_paths
+    from optshape_graph.cli.inputs import scan_paths, sensor_of
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.cli.report import report
-    from optshape_graph.io import load_sensor, load_target
+    from optshape_graph.io import load_target
     from optshape_graph.pose.files import EstimateFile
     from optshape_graph.runs.files import run_files
 
     paths = scan_paths(scans)
     outputs = Outputs([*paths, target, sensor], force=force)
     outputs.file("--json", json_path, "estimate", bytes_needed=BYTES * len(paths))
+    outputs.file("--report", html)
     outputs.folder("--plot", plots)
-    template, model = load_target(target), load_sensor(sensor) if sensor else None
+    template, model = load_target(target), sensor_of(sensor, paths, columns)
     draw = Draw(plots, names_of(paths)) if plots else None
-    estimate = EstimateFile(template, model, method, backend, draw)  # type: ignore[arg-type]  # click checked them
+    estimate = EstimateFile(template, model, method, backend, columns, draw)  # type: ignore[arg-type]  # click checked them
     with (
         progress_bar("estimating") as progress,
         run_files(estimate, paths, estimate.failed, form="estimate", describe=estimate.describe() | drawn(plots),
@@ -79,6 +87,8 @@ def command(
             "margin: log likelihood to the best different pose. "
             "fit: chi-square per degree of freedom of plane / edges, or what makes the pose doubtful.",
             json_path,
+            html,
+            "estimate",
         )
 
 

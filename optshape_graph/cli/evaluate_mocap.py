@@ -8,7 +8,8 @@ from typing import Any
 
 import click
 
-from optshape_graph.cli.options import outside_option
+from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.options import FILE, FOLDER, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "published_": "paper"}
@@ -16,14 +17,15 @@ OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "publish
 
 
 @click.command()
-@click.argument("folder", type=click.Path(file_okay=False, path_type=Path), metavar="DIR")
-@click.option("--reference", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",
+@click.argument("folder", type=FOLDER, metavar="DIR")
+@click.option("--reference", type=FILE, metavar="FILE",
               help="Another method's estimates, to compare in the same way: JSON, 'session folder/scan' to an entry "
                    "with T_lidar_target_paper.")  # fmt: skip
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
-@click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), default=Path("evaluation"),
+@click.option("--json", "json_path", type=FILE, help="Write the results to this file.")
+@click.option("-o", "--output", type=FOLDER, default=Path("evaluation"),
               show_default=True, help="Folder for the table.")  # fmt: skip
 @plot_option("errors of all scans")
+@force_option
 @outside_option
 def command(
     folder: Path,
@@ -31,6 +33,7 @@ def command(
     json_path: Path | None,
     output: Path,
     plots: Path | None,
+    force: bool,
     allow_outside: bool,
 ) -> int:
     """Compare the estimates of several sessions with their markers.
@@ -42,6 +45,7 @@ def command(
     Example: optshape evaluate mocap recordings -o evaluation
     """
     from optshape_graph.cli.console import print_table, progress_bar
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.evaluation.mocap import (
         PROTOCOLS,
         evaluate_mocap,
@@ -49,16 +53,22 @@ def command(
         load_reference,
         mean_errors,
     )
-    from optshape_graph.evaluation.tables import write_csv, write_parquet
+    from optshape_graph.evaluation.tables import check_parquet, write_csv, write_parquet
     from optshape_graph.io.documents import write_json
 
+    outputs = Outputs([reference, *folder.glob("*/*")], force=force)
+    outputs.file("--json", json_path, "mocap-evaluation")
+    older = _is_table(output / "mocap.csv")  # then it is replaced
+    outputs.folder("--output", output, () if older else ["mocap.csv", "mocap.parquet"], replace=False)
+    outputs.folder("--plot", plots)
+    check_parquet()
     output.mkdir(parents=True, exist_ok=True)
     sessions = find_sessions(folder, allow_outside=allow_outside)
     estimates = None if reference is None else load_reference(reference)
     with progress_bar("estimating") as progress:
         rows, left_out = evaluate_mocap(sessions, estimates, progress)
     for item in left_out:
-        click.echo(f"optshape: left out {item.scan}: {item.reason}", err=True)
+        warn(f"left out {item.scan}: {item.reason}")
     write_csv(output / "mocap.csv", rows)
     write_parquet(output / "mocap.parquet", rows)
     means = {prefix: mean_errors(rows, prefix) for prefix in PROTOCOLS}
@@ -84,7 +94,7 @@ def command(
         "ours, reference: leave-one-out, each scan in a frame fitted to the others of its session. in-sample: ours, in "
         "a frame fitted to all. paper: as printed, on markers stretched by 3 %, in a frame fitted to its estimates.",
     )  # fmt: skip
-    click.echo(f"{len(rows)} scans; table in {output}")
+    say(f"{len(rows)} scans; table in {output}")
     if plots:
         from optshape_graph.viz.mocap import plot_table
 
@@ -98,3 +108,12 @@ def _errors(row: Mapping[str, Any] | None, prefix: str) -> str:
     if row is None or row[f"{prefix}rmse_m"] is None:
         return "-"
     return f"{row[f'{prefix}rmse_m']:.3f} {row[f'{prefix}e_t_m']:.3f} {row[f'{prefix}e_r_deg']:.2f}"
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file is an older table of this command."""
+    try:
+        with path.open("rb") as stream:
+            return stream.readline(200).startswith(b"session,scan,")
+    except OSError:
+        return False

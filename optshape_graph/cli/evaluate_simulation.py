@@ -8,9 +8,16 @@ from typing import TYPE_CHECKING, cast
 
 import click
 
+from optshape_graph.cli.console import say
+from optshape_graph.cli.options import ANGLE, DISTANCE, FOLDER, Number, force_option, pool_options, seed_option
+
 if TYPE_CHECKING:
     from optshape_graph.evaluation.harness import Row
-    from optshape_graph.evaluation.simulation import Removal
+    from optshape_graph.evaluation.simulation import Removal, SimulationSweep
+    from optshape_graph.runs.workers import Pool
+
+TABLES = ("scans.csv", "scans.parquet", "cells.csv", "groups.csv", "consistency.csv", "table1.csv", "errors.png")
+"""What is written to the output folder."""
 
 
 @click.command()
@@ -20,23 +27,26 @@ if TYPE_CHECKING:
 )
 @click.option("--method", "methods", multiple=True, type=click.Choice(["global", "paper"]), help="May be repeated.")
 @click.option(
-    "--distance", "distances", multiple=True, type=float, help="May be repeated.  [default: 2 to 40 m by 2 m]"
+    "--distance", "distances", multiple=True, type=DISTANCE, help="May be repeated.  [default: 2 to 40 m by 2 m]"
 )
-@click.option("--rpy", "angles", multiple=True, nargs=3, type=float, metavar="R P Y",
+@click.option("--rpy", "angles", multiple=True, nargs=3, type=ANGLE, metavar="R P Y",
               help="Degrees, R = Rx Ry Rz; may be repeated.  [default: 0 0 0 and 20 30 30]")  # fmt: skip
 @click.option("--noise", "levels", multiple=True, type=click.Choice(["0", "1", "2", "3", "4", "sensor"]),
               help="The paper's, or what the sensor's file says; may be repeated.  [default: 0, 1, 3]")  # fmt: skip
 @click.option("--range-only", is_flag=True, help="Leave out the angular part of the noise levels.")
-@click.option("--seeds", "draws", type=click.IntRange(min=1), default=20, show_default=True, help="Scans per cell.")
+@click.option(
+    "--seeds", "draws", type=click.IntRange(1, 1_000_000), default=20, show_default=True, help="Scans per cell."
+)
 @click.option("--jitter/--no-jitter", default=True, show_default=True,
               help="Move the true pose within an azimuth step and a ring gap.")  # fmt: skip
-@click.option("--remove-share", type=float, default=0.0, show_default=True, help="Share of the rings to leave out.")
+@click.option("--remove-share", type=Number(0.0, 0.999), default=0.0, show_default=True,
+              help="Share of the rings to leave out.")  # fmt: skip
 @click.option("--remove", "removal", type=click.Choice(["random", "lowest", "highest"]), default="random",
               show_default=True, help="Which rings those are.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of everything random.")
-@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes on this machine.")
-@click.option("--dask", metavar="ADDRESS", help="Use the workers of this Dask scheduler instead.")
-@click.option("-o", "--output", type=click.Path(file_okay=False, path_type=Path), default=Path("evaluation"),
+@seed_option("Of everything random.")
+@pool_options
+@force_option
+@click.option("-o", "--output", type=FOLDER, default=Path("evaluation"),
               show_default=True, help="Folder for the results; a sweep that was stopped goes on there.")  # fmt: skip
 def command(
     target_name: str,
@@ -51,8 +61,8 @@ def command(
     remove_share: float,
     removal: str,
     seed: int,
-    workers: int,
-    dask: str | None,
+    pool: Pool | None,
+    force: bool,
     output: Path,
 ) -> None:
     """Rerun the paper's simulations: a sweep over distance, orientation and noise, with many draws.
@@ -69,21 +79,17 @@ def command(
 
     Example: optshape evaluate simulation --seeds 20 --workers 4 -o sweep
     """
-    from optshape_graph.cli.console import progress_bar
-    from optshape_graph.evaluation import (
-        SimulationSweep,
-        beside_published,
-        by_group,
-        consistency,
-        run_simulation,
-        summarise,
-        write_csv,
-        write_parquet,
-    )
+    from optshape_graph.cli.outputs import Outputs
+    from optshape_graph.evaluation import SimulationSweep
+    from optshape_graph.evaluation.tables import check_parquet
     from optshape_graph.io import load_sensor, load_target
-    from optshape_graph.viz.evaluation import plot_sweep
-    from optshape_graph.viz.style import new_figure, save_figure
+    from optshape_graph.runs.interruption import going_on
+    from optshape_graph.viz.style import new_figure
 
+    outputs = Outputs([target_name, sensor_name], force=force)
+    older = (output / "tasks" / "sweep.json").exists()  # then its tables are replaced
+    outputs.folder("--output", output, () if older else TABLES, replace=False)
+    check_parquet()
     new_figure()  # whether there is matplotlib: better known before the sweep than after it
     sweep = SimulationSweep(
         target=load_target(target_name),
@@ -99,8 +105,27 @@ def command(
         removal=cast("Removal", removal),
         seed=seed,
     )
+    with going_on(lambda: f"finished tasks are kept in {output}; the same command goes on there"):
+        _run(sweep, pool, output)
+
+
+def _run(sweep: SimulationSweep, pool: Pool | None, output: Path) -> None:
+    """Run the sweep, and write its tables and charts."""
+    from optshape_graph.cli.console import progress_bar
+    from optshape_graph.evaluation import (
+        beside_published,
+        by_group,
+        consistency,
+        run_simulation,
+        summarise,
+        write_csv,
+        write_parquet,
+    )
+    from optshape_graph.viz.evaluation import plot_sweep
+    from optshape_graph.viz.style import save_figure
+
     with progress_bar("simulating and estimating") as progress:
-        rows = run_simulation(sweep, output / "tasks", workers=workers, dask=dask, progress=progress)
+        rows = run_simulation(sweep, output / "tasks", pool=pool, progress=progress)
 
     cell = ("method", "noise", "orientation", "range_m")
     cells = summarise(rows, cell)
@@ -114,7 +139,7 @@ def command(
     write_csv(output / "table1.csv", beside_published([row for row in cells if row["noise"] == printed_level]))
     save_figure(plot_sweep(cells), output / "errors.png")
     _show(groups)
-    click.echo(f"{len(rows)} rows; tables and charts in {output}")
+    say(f"{len(rows)} rows; tables and charts in {output}")
 
 
 def _orientation(rpy_deg: tuple[float, float, float]) -> tuple[str, tuple[float, float, float]]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.options import FOLDER, Number
 
 if TYPE_CHECKING:
     from optshape_graph.io.mocap import MocapRecording
@@ -14,10 +18,13 @@ if TYPE_CHECKING:
 
 SOURCES = ("camera", "mocap")
 
+OFFSET = Number(-1e11, 1e11)
+"""Seconds between two clocks: one may count from 1970."""
+
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder to write the session to.")
+@click.option("-o", "--output", type=FOLDER, help="Folder to write the session to.")
 @click.option("--list", "listing", is_flag=True, help="List the topics and exit.")
 @click.option("--sensor", "sensor_name", help="The LiDAR: built-in name or file.")
 @click.option("--target", "target_names", multiple=True, help="Built-in name, NAME@AREA, or file. May be repeated.")
@@ -35,10 +42,19 @@ SOURCES = ("camera", "mocap")
 @click.option("--estimate-clock-offset", "estimate", is_flag=True,
               help="Estimate the offset of motion capture from the turning of the sensor: its poses in the recording "
               "against the markers of --body (all, if it is left out).")  # fmt: skip
-@click.option("--tolerance", default=0.05, show_default=True, metavar="SECONDS", help="Between a scan and its image.")
-@click.option("--start", default=0.0, metavar="SECONDS", help="Since the first scan.")
-@click.option("--end", default=float("inf"), metavar="SECONDS", help="Since the first scan.")
-@click.option("--every", default=0.0, metavar="SECONDS", help="Smallest time between two views.")
+@click.option(
+    "--tolerance",
+    type=Number(0.0, 3600.0),
+    default=0.05,
+    show_default=True,
+    metavar="SECONDS",
+    help="Between a scan and its image.",
+)
+@click.option("--start", type=Number(0.0, 1e9), default=0.0, metavar="SECONDS", help="Since the first scan.")
+@click.option(
+    "--end", type=Number(0.0, math.inf, finite=False), default=math.inf, metavar="SECONDS", help="Since the first scan."
+)
+@click.option("--every", type=Number(0.0, 1e9), default=0.0, metavar="SECONDS", help="Smallest time between two views.")
 def command(
     recording: Path,
     output: Path | None,
@@ -63,15 +79,14 @@ def command(
     by their header's stamp. A scan becomes a view if it has everything that was asked for; what was paired and what
     was dropped is reported, and written to extract.json beside session.yaml. The exit status is 0 if there is a view.
     """
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_sensor, load_target
     from optshape_graph.io.recordings import Recording, Selection, extract_session
 
     opened = Recording(recording)
     if listing:
         for topic in opened.topics:
-            click.echo(
-                f"{topic.kind:7} {topic.count if topic.count is not None else '':>8} {topic.name} ({topic.type})"
-            )
+            say(f"{topic.kind:7} {topic.count if topic.count is not None else '':>8} {topic.name} ({topic.type})")
         return
     if output is None or sensor_name is None or not target_names:
         raise click.UsageError("--output, --sensor and --target are needed to write a session")
@@ -79,6 +94,7 @@ def command(
     if len(named) < len(topics):
         raise click.UsageError(f"several --topic of one kind: {', '.join(topics)}")
     given = _offsets(offsets)
+    Outputs([recording, camera_file, mocap_file]).folder("--output", output)
     mocap = _mocap(mocap_file)
     if estimate:
         if mocap is None or "mocap" in given:
@@ -107,8 +123,8 @@ def _offsets(offsets: tuple[str, ...]) -> dict[str, float]:
     for text in offsets:
         source, _, seconds = text.partition("=")
         try:
-            given[source] = float(seconds)
-        except ValueError as error:
+            given[source] = OFFSET.convert(seconds, None, None)
+        except click.BadParameter as error:
             raise click.UsageError(f"--clock-offset {text}: expected SOURCE=SECONDS") from error
         if source not in SOURCES:
             raise click.UsageError(f"--clock-offset {text}: the source is one of {', '.join(SOURCES)}")
@@ -131,7 +147,7 @@ def _estimated(recording: Recording, mocap: MocapRecording, body: tuple[str, ...
     from optshape_graph.io.recordings import estimate_mocap_offset
 
     found = estimate_mocap_offset(recording, mocap.select(body) if body else mocap, topic, _track)
-    click.echo(
+    say(
         f"clock offset of mocap: {found.seconds:.4f} s +- {found.standard_deviation:.4f} "
         f"(correlation {found.correlation:.3f}, elsewhere at most {found.runner_up:.3f}, over {found.overlap:.0f} s)"
     )
@@ -151,7 +167,7 @@ def _camera(recording: Recording, file: Path | None, topic: str | None) -> tuple
     except InputError as error:
         if topic is not None or file is not None:
             raise
-        click.echo(f"images are left out: {error}", err=True)
+        warn(f"images are left out: {error}")
         return None, None
 
 
@@ -165,14 +181,14 @@ def _track(items: Iterable[Any], doing: str, total: int | None) -> Iterable[Any]
 
 
 def _say(extraction: Extraction) -> None:
-    click.echo(f"{extraction.session}: {extraction.views} views of {extraction.scans} scans")
+    say(f"{extraction.session}: {extraction.views} views of {extraction.scans} scans")
     if len(extraction.lags):
-        click.echo(f"  images are {abs(extraction.lags).mean() * 1e3:.1f} ms from their scans, "
+        say(f"  images are {abs(extraction.lags).mean() * 1e3:.1f} ms from their scans, "
                    f"{abs(extraction.lags).max() * 1e3:.1f} at most")  # fmt: skip
     if extraction.thinned:
-        click.echo(f"  {extraction.thinned} left out by --every")
+        say(f"  {extraction.thinned} left out by --every")
     for reason, count in extraction.dropped.items():
-        click.echo(f"  {count} dropped: {reason}")
+        say(f"  {count} dropped: {reason}")
     for stream, reasons in extraction.skipped.items():
         for reason, count in reasons.items():
-            click.echo(f"  {count} messages of {stream} skipped: {reason}")
+            say(f"  {count} messages of {stream} skipped: {reason}")

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from contextlib import suppress
 from glob import glob
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-ENDINGS = (".pcd", ".ply", ".npz")
+from optshape_graph.cli.console import warn
+
+if TYPE_CHECKING:
+    from optshape_graph.sensor import SensorModel
+
+ENDINGS = (".pcd", ".ply", ".npz", ".npy", ".bin", ".las", ".laz", ".e57")
 """Of the clouds that are taken of a folder; a CSV may be anything, and is named by itself or by a pattern."""
 
 MOST_SCANS = 10_000_000
@@ -30,6 +38,38 @@ def scan_paths(words: tuple[str, ...]) -> list[str]:
         if len(found) > MOST_SCANS:
             raise click.UsageError(f"more than {MOST_SCANS} scans")
     return found
+
+
+def sensor_of(name: str | None, paths: Sequence[str], columns: Sequence[str] | None) -> SensorModel | None:
+    """Return the sensor that is named; without a name the one that the clouds look like, which is said.
+
+    Args:
+        name: built-in, or a file; "none": there is none; None: it is guessed from the first, the middle and the last
+            cloud. Those that tell must tell the same.
+        paths: the clouds.
+        columns: names of their columns, if given.
+
+    Raises:
+        InputError: no such sensor.
+    """
+    from optshape_graph.errors import InputError, MissingExtraError
+    from optshape_graph.io import load_sensor, read_scan
+    from optshape_graph.io.sensor_guess import guess_sensor
+
+    if name is not None:
+        return None if name == "none" else load_sensor(name)
+    guesses = []
+    for path in dict.fromkeys([paths[0], paths[len(paths) // 2], paths[-1]]):
+        with suppress(InputError, MissingExtraError):  # said when it is its turn
+            guesses.append(guess_sensor(read_scan(path, None, columns)))
+    told = {guess.sensor.name: guess.sensor for guess in guesses if guess.sensor is not None}
+    if len(told) != 1:
+        return None
+    ((found, sensor),) = told.items()
+    if any(found not in guess.misfits for guess in guesses):
+        return None
+    warn(f"sensor: {found}, whose table the elevations fit (--sensor none: without)")
+    return sensor
 
 
 def by_number(name: str) -> list[str | int]:

@@ -24,8 +24,10 @@ COMMANDS = {
     "simulate": "optshape_graph.cli.simulate",
     "extract": "optshape_graph.cli.extract",
     "map": "optshape_graph.cli.map",
+    "merge": "optshape_graph.cli.merge",
     "evaluate": "optshape_graph.cli.evaluate",
     "view": "optshape_graph.cli.view",
+    "report": "optshape_graph.cli.html_report",
     "demo": "optshape_graph.cli.demo",
     "doctor": "optshape_graph.cli.doctor",
     "completion": "optshape_graph.cli.completion",
@@ -41,8 +43,10 @@ HELP = {
     "simulate": "Simulate a scan of a target or a scene, with known truth.",
     "extract": "Cut a session out of a bag or a folder of clouds: scans, images, markers.",
     "map": "Map targets and a trajectory out of a bag, a folder of clouds or a session.",
+    "merge": "Make one map of several that have landmarks in common.",
     "evaluate": "Measure how good the estimates are, beside what the paper reports.",
     "view": "Show a scan or a result in space, in Rerun or Open3D.",
+    "report": "Write what a result means as one HTML file: verdict, numbers, pictures.",
     "demo": "Calibrate a bundled session: a result and pictures, in seconds.",
     "doctor": "Look at the installation: versions, extras, a self-check, and what to do.",
     "completion": "Print the script that makes bash, zsh or fish complete commands.",
@@ -80,6 +84,7 @@ class OneLine(logging.Formatter):
 def main() -> None:
     """Run the command line; every error is one line and a non-zero exit status."""
     debug = "--debug" in sys.argv
+    open_streams()
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # an ASCII terminal gets escapes of what it has not
             stream.reconfigure(errors="backslashreplace")
@@ -99,8 +104,8 @@ def main() -> None:
             click.echo(f"{error.ctx.get_usage()}\nTry '{error.ctx.command_path} --help' for help.\n", err=True)
         click.echo(f"Error: {shown(said, LONGEST_MESSAGE)}", err=True)
         sys.exit(2)
-    except BrokenPipeError:  # whoever read the output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (BrokenPipeError, SystemExit):  # click and rich exit for a broken pipe, and for nothing else
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # whoever read the output has seen enough
         sys.exit(0)
     except (optshape_graph.OptshapeError, OSError) as error:
         if debug:
@@ -113,6 +118,17 @@ def main() -> None:
             show_traceback(error)
         end(f"unexpected {type(error).__name__}: {shown(error, LONGEST_MESSAGE)} (--debug shows where)", 1)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def open_streams() -> None:
+    """Lead standard streams that are closed to nowhere: files that are opened would take their places."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free: this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115  # for good
 
 
 def end(message: str, status: int) -> NoReturn:

@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from optshape_graph.cli.options import outside_option
+from optshape_graph.cli.console import SECONDS_BETWEEN, say, terminal, warn
+from optshape_graph.cli.html_report import conclude, report_option
+from optshape_graph.cli.options import FILE, POSITIVE, Number, force_option, outside_option, pool_options
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from optshape_graph._arrays import Floats
-    from optshape_graph.io.recordings import Recording, Stamped
-    from optshape_graph.io.trajectories import Trajectory
-    from optshape_graph.mapping.incremental import LandmarkSlam
-    from optshape_graph.mapping.map import Map
-    from optshape_graph.mapping.recording import OdometryTrack, Progress
-    from optshape_graph.scan import Scan
-    from optshape_graph.target import Target
-
-
-MANY = 60
-"""Scans from which on several processes are worth their start."""
+    from optshape_graph.io.recordings import Recording
+    from optshape_graph.io.sessions import Session
+    from optshape_graph.mapping import Map
+    from optshape_graph.mapping.recording import MapResult, Progress
+    from optshape_graph.runs.workers import Pool
 
 
 @click.command()
@@ -38,30 +33,33 @@ MANY = 60
 @click.option("--odometry", metavar="TOPIC|FILE",
               help="Topic of poses, or a file of them (TUM, EuRoC, Motive); `none` for none.  "
               "[default: the only topic of poses, if there is one]")  # fmt: skip
-@click.option("--mounting", nargs=6, type=float, metavar="X Y Z ROLL PITCH YAW",
+@click.option("--mounting", nargs=6, type=Number(-1e4, 1e4), metavar="X Y Z ROLL PITCH YAW",
               help="The LiDAR on the body that the odometry is of: metres and degrees.  "
               "[default: the recording's static transforms]")  # fmt: skip
+@click.option("--clock-offset", type=Number(-1e11, 1e11), default=0.0, show_default=True, metavar="SECONDS",
+              help="To add to the stamps of the odometry to have those of the scans.")  # fmt: skip
 @click.option("--one-each", is_flag=True, help="There is one of each target: its name is the landmark's.")
-@click.option("--known", type=click.Path(path_type=Path), help="Map to start from: surveyed landmarks, or made before.")
-@click.option("--odometry-noise", nargs=2, type=float, default=(0.02, 0.2), show_default=True, metavar="M DEG",
-              help="Standard deviations per square root of a metre.")  # fmt: skip
-@click.option("--keyframe", nargs=2, type=float, default=(0.5, 10.0), show_default=True, metavar="M DEG",
+@click.option("--known", type=FILE, help="Map to start from: surveyed landmarks, or made before.")
+@click.option("--odometry-noise", nargs=2, type=Number(1e-6, 100.0), default=(0.02, 0.2), show_default=True,
+              metavar="M DEG", help="Standard deviations per square root of a metre.")  # fmt: skip
+@click.option("--keyframe", nargs=2, type=Number(0.0, 1e4), default=(0.5, 10.0), show_default=True, metavar="M DEG",
               help="Use a scan after having moved or turned this far.")  # fmt: skip
-@click.option("--confirmations", type=click.IntRange(min=1), help="Sightings that must agree on a new landmark.  "
+@click.option("--confirmations", type=click.IntRange(1, 1000), help="Sightings that must agree on a new landmark.  "
               "[default: 2; 1 without odometry]")  # fmt: skip
-@click.option("--lag", type=float, metavar="SECONDS", help="Keep only the latest poses in the graph: bounded memory.")
-@click.option("--batch/--no-batch", default=True, show_default=True, help="Solve for everything at once at the end.")
-@click.option("--as-built", type=float, metavar="METRES",
-              help="Refine the targets' vertices, which were built to this standard deviation.")  # fmt: skip
 @click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    help="Processes that detect targets.  [default: one for each core, for recordings of many scans]",
+    "--lag", type=POSITIVE, metavar="SECONDS", help="Keep only the latest poses in the graph: bounded memory."
 )
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write the map (optshape/map/1).")
-@click.option("--tum", "tum_file", type=click.Path(path_type=Path), help="Write the trajectory.")
-@click.option("--kitti", "kitti_file", type=click.Path(path_type=Path), help="Write the trajectory.")
-@click.option("--g2o", "g2o_file", type=click.Path(path_type=Path), help="Write the pose graph.")
+@click.option("--batch/--no-batch", default=True, show_default=True, help="Solve for everything at once at the end.")
+@click.option("--as-built", type=Number(1e-6, 1.0), metavar="METRES",
+              help="Refine the targets' vertices, which were built to this standard deviation.")  # fmt: skip
+@pool_options
+@click.option("--json", "json_file", type=FILE, help="Write the map (optshape/map/1); until it is whole, "
+              "what was seen is kept in FILE.journal, from which the same command goes on.")  # fmt: skip
+@click.option("--tum", "tum_file", type=FILE, help="Write the trajectory.")
+@click.option("--kitti", "kitti_file", type=FILE, help="Write the trajectory.")
+@click.option("--g2o", "g2o_file", type=FILE, help="Write the pose graph.")
+@force_option
+@report_option
 @plot_option("the map from above, and the structure of its graph")
 @outside_option
 def command(
@@ -72,6 +70,7 @@ def command(
     scan_topic: str | None,
     odometry: str | None,
     mounting: tuple[float, ...] | None,
+    clock_offset: float,
     one_each: bool,
     known: Path | None,
     odometry_noise: tuple[float, float],
@@ -80,135 +79,103 @@ def command(
     lag: float | None,
     batch: bool,
     as_built: float | None,
-    workers: int | None,
+    pool: Pool | None,
     json_file: Path | None,
     tum_file: Path | None,
     kitti_file: Path | None,
     g2o_file: Path | None,
+    force: bool,
+    html: Path | None,
     plots: Path | None,
-) -> None:
+) -> int:
     """Map the targets that SOURCE saw, and where it saw them from.
 
     SOURCE is a session file (.yaml), a ROS 1 or ROS 2 bag, an .mcap file, or a folder of clouds with timestamps.txt.
     Scans are placed by odometry, and by what they have in common with others; without odometry, by that alone. Scans
-    that cannot be used are skipped with a reason and counted. The exit status is 3 if no target was mapped.
+    that cannot be used are skipped with a reason and counted. The exit status is 3 if no target was mapped, or the map
+    is not to be trusted for another reason, which is said.
 
     Example: optshape map drive.bag --targets paper --sensor vlp32c --json map.json --tum trajectory.tum
     """
     from math import radians
 
-    from optshape_graph.mapping import LandmarkSlam, load_map, save_map, solve_batch
-    from optshape_graph.mapping.recording import (
-        KeyframePolicy,
-        MotionNoise,
-        Progress,
-        build_map,
-        keyframes,
-        observe_all,
+    from optshape_graph.cli.outputs import Outputs
+    from optshape_graph.io import load_sensor, load_target
+    from optshape_graph.mapping import load_map
+    from optshape_graph.mapping.recording import KeyframePolicy, MotionNoise, map_recording
+    from optshape_graph.runs.files import fingerprint
+    from optshape_graph.runs.interruption import going_on
+    from optshape_graph.runs.journal import Journal, journal_of
+
+    for option, given in (("--as-built", as_built), ("--g2o", g2o_file)):
+        if given is not None and (lag is not None or not batch):
+            raise click.UsageError(f"{option} needs the batch solution, so no --lag and no --no-batch")
+    files = _files(source)
+    outputs = Outputs([*files, known, odometry, sensor_name, *target_names], force=force)
+    outputs.file("--json", json_file, "map")
+    for option, file in (("--tum", tum_file), ("--kitti", kitti_file), ("--g2o", g2o_file)):
+        outputs.file(option, file)
+    outputs.file("--report", html)
+    outputs.folder("--plot", plots)
+    opened = _opened(source, target_names, sensor_name, scan_topic, allow_outside)
+    describe = {
+        "form": "map", "targets": target_names, "sensor": sensor_name, "scans": scan_topic, "odometry": odometry,
+        "mounting": mounting, "clock_offset": clock_offset, "one_each": one_each, "noise": odometry_noise,
+        "keyframe": keyframe, "shapes": as_built is not None, "biases": batch and lag is None,
+        "files": fingerprint([*map(str, files), *filter(None, [odometry, sensor_name, *target_names])]),
+    }  # fmt: skip
+    kept = journal_of(json_file) if json_file else None
+    advice = (
+        f"what was seen is kept in {kept}; the same command goes on there" if kept else "--json keeps what was seen"
     )
-
-    if as_built is not None and (lag is not None or not batch):
-        raise click.UsageError("--as-built needs the batch solution, so no --lag and no --no-batch")
-    scans, targets, track, expected, skipped = _open(
-        source, target_names, sensor_name, scan_topic, odometry, mounting, allow_outside
-    )
-    slam = LandmarkSlam(
-        load_map(known) if known else None,
-        lag=lag,
-        confirmations=confirmations or (2 if track else 1),
-        name=source.stem,
-    )
-    policy = KeyframePolicy(keyframe[0], radians(keyframe[1]))
-    noise = MotionNoise(odometry_noise[0], radians(odometry_noise[1]))
-    progress = Progress()
-    seen = observe_all(
-        keyframes(scans, track, policy, progress),
-        targets,
-        one_each,
-        as_built is not None,
-        _processes(expected) if workers is None else workers,
-        biases=batch and lag is None,
-    )
-    with _shown(progress, slam, expected) as report:
-        build_map(slam, seen, noise, progress, report)
-    slam.settle()
-    result, graph = slam.map(), None
-    if batch and lag is None and result.landmarks:
-        solution = solve_batch(slam.problem(), as_built_sigma=as_built)
-        result, graph = solution.map(), solution
-    trajectory = result.trajectories[slam.name]
-    if json_file:
-        save_map(json_file, result)
-    _write(trajectory, tum_file, kitti_file)
-    if g2o_file:
-        from optshape_graph.io.trajectories import write_g2o
-        from optshape_graph.mapping.batch import pose_graph
-
-        if graph is None:
-            raise click.UsageError("--g2o needs the batch solution, and at least one landmark")
-        write_g2o(g2o_file, pose_graph(graph))
-    _say(result, slam, progress, skipped())
-    if plots:
-        from optshape_graph.viz.map import plot_map, plot_structure
-
-        pictures = Pictures(plots)
-        pictures.save("map", plot_map(result))
-        if graph is not None:
-            pictures.save("structure", plot_structure(graph.problem))
-        pictures.tell()
-    if not result.landmarks:
-        click.get_current_context().exit(3)
+    with Journal(kept, describe, None) as journal, _shown() as report, going_on(lambda: advice):
+        result = map_recording(
+            opened,
+            tuple(map(load_target, target_names)),
+            load_sensor(sensor_name) if sensor_name else None,
+            scans=scan_topic,
+            odometry=odometry,
+            mounting=None if mounting is None else _placed(mounting),
+            clock_offset=clock_offset,
+            known=load_map(known) if known else None,
+            one_each=one_each,
+            keyframe=KeyframePolicy(keyframe[0], radians(keyframe[1])),
+            noise=MotionNoise(odometry_noise[0], radians(odometry_noise[1])),
+            confirmations=confirmations,
+            lag=lag,
+            batch=batch,
+            as_built_sigma=as_built,
+            pool=pool,
+            journal=journal,
+            report=report,
+        )
+        _write(result, json_file, tum_file, kitti_file, g2o_file)
+        journal.remove()
+    _say(result)
+    pictures = _draw(result, plots) if plots else ()
+    document = {**result.map.to_dict(), "trajectory": [{}] * len(result.trajectory)}
+    conclude({**document, "report": {"problems": list(result.problems)}}, html, pictures)
+    return 3 if result.problems else 0
 
 
-def _processes(expected: int | None) -> int:
-    """Processes for a recording: starting them takes about as long as detecting targets in MANY scans."""
-    import os
-
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return cores if expected is None or expected >= MANY else 1
+def _files(source: Path) -> list[Path]:
+    """The files that a source is made of."""
+    return sorted(path for path in source.rglob("*") if path.is_file()) if source.is_dir() else [source]
 
 
-def _open(
-    source: Path,
-    target_names: tuple[str, ...],
-    sensor_name: str | None,
-    scan_topic: str | None,
-    odometry: str | None,
-    mounting: tuple[float, ...] | None,
-    allow_outside: bool,
-) -> tuple[Iterable[Stamped[Scan]], list[Target], OdometryTrack | None, int | None, Any]:
-    """Scans, targets, odometry, the number of scans if it is known, and what says which messages were skipped."""
-    from optshape_graph.io import load_sensor, load_session, load_target
-    from optshape_graph.io.recordings import Recording, Skipped, Stamped
-    from optshape_graph.io.trajectories import is_trajectory, read_trajectory
-    from optshape_graph.mapping.recording import OdometryTrack, session_scans
+def _opened(
+    source: Path, target_names: tuple[str, ...], sensor_name: str | None, scan_topic: str | None, allow_outside: bool
+) -> Session | Recording:
+    from optshape_graph.io import load_session
+    from optshape_graph.io.recordings import Recording
 
-    poses: Iterable[Stamped[Any]] | None = None
-    if odometry is not None and is_trajectory(odometry):
-        trajectory = read_trajectory(odometry)
-        assert trajectory.stamps is not None  # what is read has them
-        poses = [Stamped(float(stamp), T) for stamp, T in zip(trajectory.stamps, trajectory.poses, strict=True)]
-    T_body_lidar = None if mounting is None else _placed(mounting)
     if source.suffix.lower() in (".yaml", ".yml", ".json"):
         if target_names or sensor_name or scan_topic:
             raise click.UsageError("a session file names its own targets, sensor and scans")
-        session = load_session(source, allow_outside=allow_outside)
-        missed = Skipped()
-        return (
-            session_scans(session, missed), list(session.targets.values()),
-            None if poses is None else OdometryTrack(poses, T_body_lidar), len(session.views), lambda: missed,
-        )  # fmt: skip
+        return load_session(source, allow_outside=allow_outside)
     if not target_names:
         raise click.UsageError("--targets is needed: what is to be looked for")
-    recording = Recording(source)
-    stream = recording.scans(scan_topic, None if sensor_name is None else load_sensor(sensor_name))
-    if poses is None and odometry != "none" and (odometry or any(t.kind == "pose" for t in recording.topics)):
-        poses = recording.poses(odometry)
-        if T_body_lidar is None:
-            T_body_lidar = _mounted(recording, scan_topic, odometry)
-    targets = [load_target(name) for name in target_names]
-    track = None if poses is None else OdometryTrack(poses, T_body_lidar)
-    return stream, targets, track, stream.expected, lambda: stream.skipped
+    return Recording(source)
 
 
 def _placed(mounting: tuple[float, ...]) -> Floats:
@@ -219,68 +186,93 @@ def _placed(mounting: tuple[float, ...]) -> Floats:
     return pose_from_rpy(mounting[:3], [radians(angle) for angle in mounting[3:]])
 
 
-def _mounted(recording: Recording, scan_topic: str | None, pose_topic: str | None) -> Floats | None:
-    """T_body_lidar as the recording has it; None, and a word of warning, where it does not say."""
-    found = recording.mounting(scan_topic, pose_topic)
-    if found.T_body_lidar is None:
-        if found.body and found.lidar:
-            click.echo(
-                f"warning: odometry is of '{found.body}', scans are in '{found.lidar}', and no static transform links "
-                "them: taken for one frame; --mounting says where the LiDAR is",
-                err=True,
-            )
-        return None
-    if found.body != found.lidar:
-        x, y, z = found.T_body_lidar[:3, 3]
-        click.echo(f"'{found.lidar}' is at ({x:.3f}, {y:.3f}, {z:.3f}) m in '{found.body}', by its static transforms")
-    return found.T_body_lidar
-
-
 @contextmanager
-def _shown(progress: Progress, slam: LandmarkSlam, expected: int | None) -> Iterator[Any]:
-    """Show how far a run is, and what it has found."""
+def _shown() -> Iterator[Callable[[Progress], None]]:
+    """Show how far a run is, and what it has found: a bar on a terminal, else a line a minute."""
+
+    def summary(now: Progress) -> str:
+        return (
+            f"{now.scans} scans, {now.keyframes} keyframes, {now.sightings} sightings, {now.landmarks} landmarks, "
+            f"{now.skipped.total()} skipped"
+        )
+
+    if not terminal():
+        said = time.monotonic()
+
+        def line(now: Progress) -> None:
+            nonlocal said
+            if time.monotonic() - said >= SECONDS_BETWEEN:
+                said = time.monotonic()
+                warn(f"mapping: {summary(now)}")
+
+        yield line
+        return
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
     columns = TextColumn("mapping"), BarColumn(), TextColumn("{task.fields[summary]}"), TimeRemainingColumn()
-    console = Console(stderr=True)
-    with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=expected, summary="")
-
-        def report(now: Progress) -> None:
-            summary = f"{now.scans} scans, {now.keyframes} keyframes, {now.sightings} sightings, "
-            summary += f"{len(slam.landmark_names)} landmarks, {now.skipped.total()} skipped"
-            bar.update(task, completed=now.scans, summary=summary)
-
-        yield report
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None, summary="")
+        yield lambda now: bar.update(task, completed=now.scans, total=now.expected, summary=summary(now))
 
 
-def _write(trajectory: Trajectory, tum: Path | None, kitti: Path | None) -> None:
-    from optshape_graph.io.trajectories import write_kitti, write_tum
+def _write(result: MapResult, json_file: Path | None, tum: Path | None, kitti: Path | None, g2o: Path | None) -> None:
+    from optshape_graph.io.trajectories import write_g2o, write_kitti, write_tum
+    from optshape_graph.mapping.batch import pose_graph
 
+    if json_file:
+        result.map.save(json_file)
     if tum:
-        write_tum(tum, trajectory)
+        write_tum(tum, result.trajectory)
     if kitti:
-        write_kitti(kitti, trajectory)
+        write_kitti(kitti, result.trajectory)
+    if g2o and result.solution is not None:
+        write_g2o(g2o, pose_graph(result.solution))
+    elif g2o:
+        warn(f"{g2o}: not written, for no landmark was mapped")
 
 
-def _say(result: Map, slam: LandmarkSlam, progress: Progress, messages: Any) -> None:
-    click.echo(
-        f"{progress.scans} scans, {progress.keyframes} keyframes, {progress.sightings} sightings: "
-        f"{len(result.landmarks)} landmarks, {len(result.trajectories[slam.name])} poses"
-    )
+def _draw(result: MapResult, plots: Path) -> list[Path]:
+    from optshape_graph.viz.map import plot_map, plot_structure
+
+    pictures = Pictures(plots)
+    pictures.save("map", plot_map(result.map))
+    if result.solution is not None:
+        pictures.save("structure", plot_structure(result.solution.problem))
+    pictures.tell()
+    return pictures.paths
+
+
+def say_landmarks(result: Map) -> None:
+    """Print a line for each landmark of a map."""
     for landmark in result.landmarks:
-        x, y, z = landmark.T_world_target[:3, 3]
+        x, y, z = landmark.position
         sd = landmark.covariance[3:, 3:].trace() ** 0.5
-        click.echo(f"  {landmark.id}: ({x:.3f}, {y:.3f}, {z:.3f}) m +- {sd:.3f}, {landmark.observations} observations")
-    if slam.counts:
-        click.echo("  " + ", ".join(f"{count} {what}" for what, count in slam.counts.items()))
-    for reason, count in (*progress.skipped.items(), *messages.items()):
-        click.echo(f"  {count} scans skipped: {reason}")
-    if not result.landmarks and progress.keyframes:
-        click.echo(
+        say(f"  {landmark.id}: ({x:.3f}, {y:.3f}, {z:.3f}) m +- {sd:.3f}, {landmark.observations} observations")
+
+
+def _say(result: MapResult) -> None:
+    progress, found = result.progress, result.mounting
+    if found is not None and found.T_body_lidar is not None and found.body != found.lidar:
+        x, y, z = found.T_body_lidar[:3, 3]
+        say(f"'{found.lidar}' is at ({x:.3f}, {y:.3f}, {z:.3f}) m in '{found.body}', by its static transforms")
+    for warning in result.warnings:
+        warn(f"warning: {warning}")
+    say(
+        f"{progress.scans} scans, {progress.keyframes} keyframes, {progress.sightings} sightings: "
+        f"{len(result.map.landmarks)} landmarks, {len(result.trajectory)} poses"
+    )
+    say_landmarks(result.map)
+    if result.counts:
+        say("  " + ", ".join(f"{count} {what}" for what, count in result.counts.items()))
+    for reason, count in (*progress.skipped.items(), *result.skipped.items()):
+        say(f"  {count} scans skipped: {reason}")
+    if not result.map.landmarks and progress.keyframes:
+        say(
             "  no target was seen: `optshape detect` on one of the scans says what each surface lacks"
             if not progress.sightings
             else "  sightings did not agree on a landmark: is the odometry the LiDAR's (--mounting), its noise right?"
         )
+    for problem in result.problems:
+        warn(f"not to be trusted: {problem}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +27,15 @@ class Number(click.ParamType):  # type: ignore[type-arg]  # generic in newer ver
         least: the number is at least this.
         most: it is at most this.
         open: leave out the least itself.
+        finite: refuse infinity.
     """
 
     name = "number"
 
-    def __init__(self, least: float = -math.inf, most: float = math.inf, *, open: bool = False) -> None:
-        self.least, self.most, self.open = least, most, open
+    def __init__(
+        self, least: float = -math.inf, most: float = math.inf, *, open: bool = False, finite: bool = True
+    ) -> None:
+        self.least, self.most, self.open, self.finite = least, most, open, finite
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number that a text is."""
@@ -40,7 +44,7 @@ class Number(click.ParamType):  # type: ignore[type-arg]  # generic in newer ver
         except (TypeError, ValueError):
             number = math.nan
         above = number > self.least if self.open else number >= self.least
-        if not (above and number <= self.most and math.isfinite(number)):
+        if not (above and number <= self.most and (math.isfinite(number) or not self.finite)):
             self.fail(f"expected a number {self._range()}, found '{value}'", param, ctx)
         return number
 
@@ -65,6 +69,23 @@ def outside_option(function: Callable[..., Any]) -> Callable[..., Any]:
     )(function)  # fmt: skip
 
 
+def sensor_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--sensor` to a command that reads clouds; it takes the value as `sensor`, for `inputs.sensor_of`."""
+    return click.option(
+        "--sensor",
+        help="Built-in name, sensor file, or a maker's file of the unit's beams; `none`: rings from the cloud, noise "
+        "of a centimetre.  [default: the built-in one whose table the elevations fit, which is said; or `none`]",
+    )(function)
+
+
+def columns_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--columns` to a command that reads clouds; it takes the names as `columns`, None if they are not given."""
+    return click.option(
+        "--columns", metavar="NAMES", callback=lambda _ctx, _param, value: value and tuple(value.split(",")),
+        help="Names of the columns of clouds that do not name them (CSV, .bin, .npy): x,y,z,_,ring.",
+    )(function)  # fmt: skip
+
+
 def force_option(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--force` to a command that writes files; it takes the value as `force`."""
     return click.option("--force", is_flag=True, help="Write over files that are there, inputs never.")(function)
@@ -73,6 +94,7 @@ def force_option(function: Callable[..., Any]) -> Callable[..., Any]:
 def pool_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--workers`, `--dask` and `--dask-tls`; the command takes what they make as `pool`, None for the default."""
 
+    @wraps(function)
     def with_pool(*args: Any, workers: int | None, dask: str | None, dask_tls: Any, **kwargs: Any) -> Any:
         if dask is None and dask_tls is not None:
             raise click.UsageError("--dask-tls goes with --dask")
@@ -81,8 +103,6 @@ def pool_options(function: Callable[..., Any]) -> Callable[..., Any]:
         pool = None if workers is None and dask is None else Pool(workers or 1, dask, dask_tls)
         return function(*args, pool=pool, **kwargs)
 
-    with_pool.__doc__ = function.__doc__
-    with_pool.__click_params__ = getattr(function, "__click_params__", [])  # type: ignore[attr-defined]  # click's own
     for option in (
         click.option("--dask-tls", nargs=3, type=click.Path(exists=True, dir_okay=False, path_type=Path),
                      metavar="CA CERT KEY", help="Files (PEM) for TLS with it: authority, certificate, key."),

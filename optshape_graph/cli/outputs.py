@@ -37,6 +37,7 @@ class Outputs:
         self._inputs = {key: Path(path) for path in inputs if path is not None and (key := _identity(Path(path)))}
         self._force = force
         self._named: dict[Path, str] = {}
+        self._files: set[Path] = set()
 
     def file(
         self, option: str, path: Path | None, form: str = "", *, bytes_needed: int = LEAST_ROOM, replace: bool = True
@@ -56,6 +57,7 @@ class Outputs:
         if path is None:
             return
         self._check_name(option, path)
+        self._files.add(path.resolve())
         if path.is_dir():
             raise InputError(f"{option} {path}: expected the name of a file, found a folder")
         if (identity := _identity(path)) in self._inputs:
@@ -68,15 +70,20 @@ class Outputs:
             raise InputError(f"{option} {path}: cannot be written (Permission denied)")
         _check_folder(option, path.parent, bytes_needed)
 
-    def folder(self, option: str, path: Path | None) -> None:
-        """Check a folder, which is made if it is not there.
+    def folder(
+        self, option: str, path: Path | None, files: Iterable[str] = (), form: str = "", *, replace: bool = True
+    ) -> None:
+        """Check a folder, which is made if it is not there, and what will be written into it.
 
         Args:
             option: that names it, for messages.
             path: of the folder; None: nothing is written.
+            files: names of the files in it.
+            form: kind of our own that these are.
+            replace: whether older ones may be replaced unasked.
 
         Raises:
-            InputError: it cannot be written, or is a file.
+            InputError: it cannot be written, or is a file; or one of the files would be lost.
         """
         if path is None:
             return
@@ -87,6 +94,9 @@ class Outputs:
         if not place.is_dir():
             raise InputError(f"{option} {path}: {place} is a file, not a folder")
         _check_folder(option, place, LEAST_ROOM)
+        for name in files:
+            if _exists(path / name):
+                self.file(option, path / name, form, replace=replace)
 
     def new(self, option: str, path: Path) -> None:
         """Check a file that a command makes beside others: it is written over only with `force`.
@@ -100,6 +110,21 @@ class Outputs:
         """
         self.file(option, path, replace=False)
 
+    def picture(self, option: str, path: Path | None) -> None:
+        """Check a picture: an older one of that name is replaced, an input never.
+
+        Args:
+            option: that names it, for messages.
+            path: of the picture; None: none is written. Its folder is made.
+
+        Raises:
+            InputError: it cannot be written, or is an input.
+        """
+        if path is not None:
+            forced, self._force = self._force, True
+            self.folder(option, path.parent, [path.name])
+            self._force = forced
+
     def is_input(self, path: Path) -> bool:
         """Whether a file is one that the command reads."""
         return _identity(path) in self._inputs
@@ -109,6 +134,8 @@ class Outputs:
             place = path.resolve()
         except (OSError, ValueError, RuntimeError) as error:
             raise InputError(f"{option} {str(path)!r}: not the name of a file ({error})") from error
+        if inside := self._files.intersection(place.parents):
+            raise InputError(f"{option} {path}: leads into {inside.pop()}, which is the output of another option")
         if place in self._named and self._named[place] != option:
             raise InputError(f"{option} {path}: is the output of {self._named[place]}, too")
         self._named[place] = option

@@ -66,6 +66,24 @@ def names_of(paths: Sequence[str]) -> dict[str, str]:
     return {path: stem if times[stem] == 1 else f"{k:03d}_{stem}" for k, path, stem in stems}
 
 
+def check_picture(path: Path | None) -> None:
+    """Find out before the work is done that a picture of that name cannot be drawn.
+
+    Args:
+        path: of the picture; None: none is wanted.
+
+    Raises:
+        MissingExtraError: matplotlib is absent.
+    """
+    if path is None:
+        return
+    from optshape_graph.viz.style import FORMATS, new_figure
+
+    if path.suffix.lower().lstrip(".") not in ("", *FORMATS):
+        raise click.BadParameter(f"expected the name of a picture to end in .{', .'.join(FORMATS)}; found '{path}'")
+    new_figure()
+
+
 def _checked(ctx: click.Context, parameter: click.Parameter, value: Path | None) -> Path | None:
     """Find out before the work is done, and not after it, that nothing could be drawn."""
     if value is None:

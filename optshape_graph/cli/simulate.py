@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.cli.console import say
+from optshape_graph.cli.options import ANGLE, DISTANCE, FILE, Number, force_option, seed_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -17,30 +19,30 @@ if TYPE_CHECKING:
     from optshape_graph.simulation import Motion, NoiseModel
 
 NOISE_OPTIONS = {
-    "range_noise": ("--range-noise", "METRES", "Standard deviation of one range."),
-    "azimuth_noise": ("--azimuth-noise-deg", "DEG", "Standard deviation of one azimuth."),
-    "elevation_noise": ("--elevation-noise-deg", "DEG", "Standard deviation of one elevation."),
-    "ring_bias": ("--ring-bias", "METRES", "Standard deviation over rings of the range bias of a ring."),
-    "range_resolution": ("--range-resolution", "METRES", "Step to which ranges are rounded."),
-    "dropout": ("--dropout", "P", "Share of the returns lost at normal incidence; more at grazing."),
-    "hit_fraction": ("--hit-fraction", "P", "Share of a beam that must lie on a target to return from it."),
-    "edge_spread": ("--edge-spread", "RADII", "How far from there the decision may fall, in beam radii."),
+    "range_noise": ("--range-noise", "METRES", 100.0, "Standard deviation of one range."),
+    "azimuth_noise": ("--azimuth-noise-deg", "DEG", 45.0, "Standard deviation of one azimuth."),
+    "elevation_noise": ("--elevation-noise-deg", "DEG", 45.0, "Standard deviation of one elevation."),
+    "ring_bias": ("--ring-bias", "METRES", 100.0, "Standard deviation over rings of the range bias of a ring."),
+    "range_resolution": ("--range-resolution", "METRES", 100.0, "Step to which ranges are rounded."),
+    "dropout": ("--dropout", "P", 1.0, "Share of the returns lost at normal incidence; more at grazing."),
+    "hit_fraction": ("--hit-fraction", "P", 1.0, "Share of a beam that must lie on a target to return from it."),
+    "edge_spread": ("--edge-spread", "RADII", 100.0, "How far from there the decision may fall, in beam radii."),
 }
-"""Part of the noise, and its option, metavar and help."""
+"""Part of the noise, and its option, metavar, largest value and help."""
 
 
 def noise_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options that set single parts of the noise."""
-    for part, (option, metavar, text) in reversed(NOISE_OPTIONS.items()):
-        function = click.option(option, part, type=float, metavar=metavar, help=text)(function)
+    for part, (option, metavar, most, text) in reversed(NOISE_OPTIONS.items()):
+        function = click.option(option, part, type=Number(0.0, most), metavar=metavar, help=text)(function)
     return function
 
 
 @click.command()
 @click.option("--target", "target_name", default="paper", show_default=True, help="Built-in name, NAME@AREA, or file.")
 @click.option("--sensor", "sensor_name", default="vlp32c", show_default=True, help="Built-in name or file.")
-@click.option("--range", "distance", type=float, metavar="METRES", help="Distance of the target, along x.")
-@click.option("--rpy", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar="R P Y", help="Degrees; R = Rx Ry Rz.")
+@click.option("--range", "distance", type=DISTANCE, metavar="METRES", help="Distance of the target, along x.")
+@click.option("--rpy", nargs=3, type=ANGLE, default=(0.0, 0.0, 0.0), metavar="R P Y", help="Degrees; R = Rx Ry Rz.")
 @click.option("--scene", type=click.Path(path_type=Path), help="Scene file (optshape/scene/1) instead of one target.")
 @click.option(
     "--noise",
@@ -53,13 +55,16 @@ def noise_options(function: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--range-only", is_flag=True, help="Leave out the angular part of the noise level.")
 @noise_options
 @click.option("--random-phase", is_flag=True, help="Shift the azimuth grid by a random part of a step.")
-@click.option("--spin-rate", type=float, default=10.0, show_default=True, metavar="HZ",
+@click.option("--spin-rate", type=Number(0.1, 1000.0), default=10.0, show_default=True, metavar="HZ",
               help="Revolutions per second; the azimuth step grows with it.")  # fmt: skip
 @click.option("--remove-rings", metavar="N,N,...", help="Rings that return nothing, counted from the lowest.")
-@click.option("--remove-share", type=float, metavar="P", help="Share of the rings that return nothing, at random.")
+@click.option(
+    "--remove-share", type=Number(0.0, 1.0), metavar="P", help="Share of the rings that return nothing, at random."
+)
 @click.option("--reference", is_flag=True, help="The paper's simulator with its quirks; --sensor does not apply.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the noise.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Cloud to write, ending in .pcd.")
+@seed_option("Of the noise.")
+@click.option("-o", "--output", type=FILE, required=True, help="Cloud to write, ending in .pcd.")
+@force_option
 @plot_option("the scan, with the true outlines of the targets")
 def command(
     target_name: str,
@@ -76,6 +81,7 @@ def command(
     reference: bool,
     seed: int,
     output: Path,
+    force: bool,
     plots: Path | None,
     **noise_parts: float | None,
 ) -> None:
@@ -83,12 +89,13 @@ def command(
 
     With --range: the returns on one target that faces the sensor, turned by --rpy, its vertex mean at the distance
     along x. With --scene: the returns of everything in the scene. The truth has the output's name, ending in .json:
-    pose and vertices of every target in the LiDAR frame.
+    pose and vertices of every target in the LiDAR frame. A file that is there is written over only with --force.
 
     Example: optshape simulate --target paper --sensor vlp32c --range 8 --rpy 20 30 30 --noise 1 -o scan.pcd
     """
     import numpy as np
 
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_sensor, load_target
     from optshape_graph.simulation import (
         Patch,
@@ -106,6 +113,12 @@ def command(
         raise click.UsageError("give either --range (one target) or --scene")
     if reference and scene is not None:
         raise click.UsageError("--reference places one target: it goes with --range, not with --scene")
+    if output.suffix.lower() != ".pcd":
+        raise click.BadParameter(f"expected a name ending in .pcd, found '{output}'", param_hint="--output")
+    outputs = Outputs([scene, target_name, sensor_name], force=force)
+    outputs.new("--output", output)
+    outputs.new("--output (truth)", output.with_suffix(".json"))
+    outputs.folder("--plot", plots)
     sensor = spinning_at(reference_sensor() if reference else load_sensor(sensor_name), spin_rate)
     noise = _noise(sensor, level, range_only, random_phase, noise_parts)
 
@@ -123,7 +136,7 @@ def command(
         left_out = sorted({*left_out, *random_rings(result.scan, remove_share, rng).tolist()})
     result = result.without_rings(left_out)
     truth = write_simulation(output, result, noise, seed, left_out)
-    click.echo(f"{output}: {len(result.scan)} returns; truth: {truth}")
+    say(f"{output}: {len(result.scan)} returns; truth: {truth}")
     if plots:
         from optshape_graph.viz.scan import plot_simulation
 

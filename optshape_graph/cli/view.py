@@ -6,17 +6,24 @@ from pathlib import Path
 
 import click
 
+from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.options import FILE, force_option
+from optshape_graph.names import shell_word
+
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path), metavar="RESULT.json|SCAN")
 @click.option("--target", "targets", multiple=True,
               help="Target file, for a result that names a target which is not built in; may be repeated.")  # fmt: skip
-@click.option("--save", "recording", type=click.Path(path_type=Path), metavar="FILE.rrd",
+@click.option("--save", "recording", type=FILE, metavar="FILE.rrd",
               help="Write a recording for Rerun instead of opening a viewer.")  # fmt: skip
 @click.option("--open3d", "with_open3d", is_flag=True, help="Open a window of Open3D instead of Rerun.")
 @click.option("--scan", "step", type=click.IntRange(min=0), default=0, show_default=True,
               help="Which scan of the result, counted from 0, with --open3d; Rerun has a slider.")  # fmt: skip
-def command(file: Path, targets: tuple[str, ...], recording: Path | None, with_open3d: bool, step: int) -> None:
+@force_option
+def command(
+    file: Path, targets: tuple[str, ...], recording: Path | None, with_open3d: bool, step: int, force: bool
+) -> None:
     """Show a SCAN, or a RESULT of estimate, detect, map, calibrate mocap, calibrate camera or simulate, in space.
 
     Returns are coloured by range, edge points by the edge that they were taken for; fitted outlines are blue,
@@ -27,14 +34,16 @@ def command(file: Path, targets: tuple[str, ...], recording: Path | None, with_o
 
     Example: optshape view poses.json --save poses.rrd
     """
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_target
     from optshape_graph.viz.documents import spatial
 
     if recording and with_open3d:
         raise click.UsageError("give either --save or --open3d")
+    Outputs([file, *targets], force=force).file("--save", recording)
     seen = spatial(file, {target.name: target for target in map(load_target, targets)})
     for note in seen.notes:
-        click.echo(f"optshape: {note}", err=True)
+        warn(note)
     if with_open3d:
         from optshape_graph.viz.open3d_view import show
 
@@ -46,6 +55,6 @@ def command(file: Path, targets: tuple[str, ...], recording: Path | None, with_o
 
     if recording:
         save_recording(seen, recording, file.name)
-        click.echo(f"recording: {recording} (open it with: rerun {recording})")
+        say(f"recording: {recording} (open it with: rerun {shell_word(str(recording))})")
     else:
         open_viewer(seen, file.name)

@@ -2,16 +2,20 @@
 
 Sections III and IV of Huang, Clark and Grizzle, "Optimal Target Shape for LiDAR Pose Estimation", corrected: `family`
 makes candidates, `rings` lights them, `sensitivity` scores them, `problem` and `multistart` find the best within
-`limits`, `judgement` compares shapes, and `drawing` and `formats` draw one at 1:1.
+`limits`; `bound` says how well a pose can be known, and `pose_search` finds the shape for that. `judgement` compares
+shapes; `drawing`, `patterns` and `formats` draw one at 1:1, `parts` lists what it takes, `measured` corrects a print.
 """
 
 from optshape_graph.design.bound import PoseBound, covariance_bound, pose_bound
-from optshape_graph.design.drawing import Drawing, draw
+from optshape_graph.design.drawing import Workshop, draw
 from optshape_graph.design.family import Family
 from optshape_graph.design.formats import export
 from optshape_graph.design.judgement import Judgement, judge, worst_cell
 from optshape_graph.design.limits import Limits
+from optshape_graph.design.measured import as_measured
 from optshape_graph.design.multistart import Search, search
+from optshape_graph.design.parts import parts_list
+from optshape_graph.design.polylines import Drawing
 from optshape_graph.design.problem import Problem, Start
 from optshape_graph.design.rings import Rings, SensorRings, UniformRings
 from optshape_graph.design.sensitivity import cell_scores, edge_crossings
@@ -30,6 +34,8 @@ __all__ = [
     "SensorRings",
     "Start",
     "UniformRings",
+    "Workshop",
+    "as_measured",
     "cell_scores",
     "covariance_bound",
     "draw",
@@ -37,6 +43,7 @@ __all__ = [
     "export",
     "judge",
     "nearest_self_rotation",
+    "parts_list",
     "pose_bound",
     "search",
     "worst_cell",

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.errors import InputError
+from optshape_graph.se3 import rotation, transform
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
@@ -58,13 +59,12 @@ def pose_bound(target: Target, sensor: SensorModel, distance: float, turns: int 
     above = int(np.searchsorted(sensor.elevations, 0.0).clip(1, max(sensor.n_rings - 1, 1)))
     around = np.tan(sensor.elevations[max(above - 1, 0) : above + 1])
     heights = distance * (around[0] + np.ptp(around) * np.arange(placements) / placements)
-    covariances = []
-    for height in heights:
-        for angle in TURN * np.arange(turns) / turns:
-            c, s = np.cos(angle), np.sin(angle)
-            T = np.array([[1, 0, 0, distance], [0, c, -s, 0], [0, s, c, height], [0, 0, 0, 1.0]])
-            covariances.append(covariance_bound(target, sensor, T))
-    variances = np.array([np.diag(covariance) for covariance in covariances])
+    angles, heights = (grid.ravel() for grid in np.meshgrid(TURN * np.arange(turns) / turns, heights))
+    poses = transform(
+        rotation(np.outer(angles, [1.0, 0.0, 0.0])),
+        np.column_stack([np.full((len(heights), 2), [distance, 0.0]), heights]),
+    )
+    variances = np.diagonal(covariance_bound(target, sensor, poses), axis1=1, axis2=2)
 
     def summary(columns: slice) -> tuple[float, float]:
         rms = np.sqrt(variances[:, columns].sum(axis=1))
@@ -74,119 +74,145 @@ def pose_bound(target: Target, sensor: SensorModel, distance: float, turns: int 
 
 
 def covariance_bound(target: Target, sensor: SensorModel, T_lidar_target: Floats, azimuth_noise: float = 0.0) -> Floats:
-    """(6, 6) Cramer-Rao bound of T_lidar_target, rotation first, right perturbation; infinite if not determined.
+    """Return the (..., 6, 6) Cramer-Rao bounds of poses, rotation first, right perturbation; infinite if undetermined.
 
     Args:
         target: the target.
         sensor: the sensor; its azimuth step has to be known.
-        T_lidar_target: (4, 4).
+        T_lidar_target: (..., 4, 4).
         azimuth_noise: standard deviation of the azimuth of a point, rad.
 
     Raises:
         InputError: the azimuth step is not known, or the target is not in front of the sensor's own side.
     """
-    information = pose_information(target, sensor, T_lidar_target, azimuth_noise)
+    return bound_of(pose_information(target, sensor, T_lidar_target, azimuth_noise), target.circumradius)
+
+
+def bound_of(information: Floats, size: float) -> Floats:
+    """Return the (..., 6, 6) inverses of pose informations, infinite where singular; `size`: of the target, metres."""
     # Columns in comparable units: rotations by the target's size.
-    scale = np.repeat([target.circumradius, 1.0], 3)
+    scale = np.repeat([size, 1.0], 3)
     scaled = information / np.outer(scale, scale)
     eigenvalues = np.linalg.eigvalsh(scaled)
-    if eigenvalues[0] <= 1e-12 * eigenvalues[-1]:
-        return np.full((6, 6), np.inf)
-    return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))
+    determined = eigenvalues[..., 0] > 1e-12 * eigenvalues[..., -1]
+    solvable = np.where(determined[..., None, None], scaled, np.eye(6))
+    bounds = np.linalg.inv(solvable) / np.outer(scale, scale)
+    return np.asarray(np.where(determined[..., None, None], bounds, np.inf))
 
 
 def pose_information(target: Target, sensor: SensorModel, T_lidar_target: Floats, azimuth_noise: float = 0.0) -> Floats:
-    """(6, 6) Fisher information of T_lidar_target, rotation first, right perturbation; see `covariance_bound`.
+    """Return the (..., 6, 6) Fisher information of poses, rotation first, right perturbation; see `covariance_bound`.
+
+    Raises:
+        InputError: the azimuth step is not known, or the sensor is not on the target's -x side.
+    """
+    T = np.asarray(T_lidar_target, dtype=float)
+    rows = measured_rows(target, sensor, T.reshape(-1, 4, 4), azimuth_noise)
+    # Each ring's bias, eliminated from the rows of its ring (Schur complement); then the offset that all ends share.
+    J = np.concatenate([rows.J, rows.shared[..., None]], axis=-1)
+    weighted = rows.weight[..., None] * J
+    own = np.einsum("brki,brkj->brij", weighted, J)
+    with_bias = np.einsum("brki,brk->bri", weighted, rows.bias)
+    of_bias = 1.0 + (rows.weight * rows.bias**2).sum(axis=-1)
+    seven = (own - with_bias[..., None] * with_bias[..., None, :] / of_bias[..., None, None]).sum(axis=1)
+    across = seven[:, :6, 6]
+    six = seven[:, :6, :6] - across[:, :, None] * across[:, None] / (1.0 + seven[:, 6, 6])[:, None, None]
+    return np.asarray(six.reshape(*T.shape[:-2], 6, 6))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MeasuredRows(Value):
+    """What K rows of each of R rings say of B poses; the rows of a ring that misses the target weigh nothing.
+
+    Attributes:
+        J: (B, R, K, 6) derivatives of what is measured to the pose's right perturbation.
+        weight: (B, R, K) one over the variance that is a row's own, times the number of returns that it stands for.
+        bias: (B, R, K) what one standard deviation of the ring's range bias moves.
+        shared: (B, R, K) what one standard deviation of the offset that all ring ends share moves.
+    """
+
+    J: Floats
+    weight: Floats
+    bias: Floats
+    shared: Floats
+
+
+def measured_rows(target: Target, sensor: SensorModel, T: Floats, azimuth_noise: float = 0.0) -> MeasuredRows:
+    """Return the rows of (B, 4, 4) poses: n for the ring's crossings with n edges, n + 1 for the returns between.
+
+    The returns of a ring lie on a nearly straight chord: Simpson's rule at its ends and middle has their moments.
 
     Raises:
         InputError: the azimuth step is not known, or the sensor is not on the target's -x side.
     """
     if sensor.azimuth_step is None:
         raise InputError(f"sensor '{sensor.name}': its azimuth step has to be known for a bound")
-    rays = _rays(target, sensor, T_lidar_target)
-    n_edge, q_edge, ray_edge, ring_edge, s_edge = _ring_ends(target, rays)
-    n_plane = np.broadcast_to([1.0, 0.0, 0.0], (int(rays.inside.sum()), 3))
-
-    normals = np.concatenate([n_edge, n_plane])
-    points = np.concatenate([q_edge, rays.points[rays.inside]])
-    beams = np.concatenate([ray_edge, rays.directions[rays.inside]])
-    ring = np.concatenate([ring_edge, np.nonzero(rays.inside)[0]])
-    # Moving the target by (omega, v) moves a point on it, held in space, by -(omega x q + v) relative to it.
-    J = np.hstack([np.cross(points, normals), normals])
-    per_range = (beams * normals).sum(axis=1)
-    variance = (per_range * sensor.range_noise) ** 2
-    variance += (_by_azimuth(points, normals, T_lidar_target) * azimuth_noise) ** 2
-    width = np.zeros(len(points))
-    to_edge = q_edge + T_lidar_target[:3, :3].T @ T_lidar_target[:3, 3]
-    width[: len(n_edge)] = sensor.beam_aperture + sensor.beam_divergence * np.linalg.norm(to_edge, axis=1)
-    variance[: len(n_edge)] += ((s_edge * n_edge).sum(axis=1) * sensor.azimuth_step) ** 2 / 12.0
-    variance += width**2 / 12.0
-    # A noiseless row would be infinitely informative; a micrometre is as good as none.
-    weight = 1.0 / (variance + 1e-12)
-
-    # What rows share: a bias of each ring, and an offset of all ring ends, each in its own standard deviations.
-    shared = np.zeros((len(points), sensor.n_rings + 1))
-    shared[np.arange(len(points)), ring] = per_range * sensor.ring_bias
-    shared[:, -1] = width / np.sqrt(12.0)
-    # Eliminated (Schur complement).
-    across = shared.T @ (weight[:, None] * J)
-    own = shared.T @ (weight[:, None] * shared) + np.eye(sensor.n_rings + 1)
-    return np.asarray(J.T @ (weight[:, None] * J) - across.T @ np.linalg.solve(own, across))
-
-
-def _by_azimuth(points: Floats, normals: Floats, T_lidar_target: Floats) -> Floats:
-    """(N,) how far a radian of azimuth moves points along normals, metres; both in the target frame."""
-    R, t = T_lidar_target[:3, :3], T_lidar_target[:3, 3]
-    return np.asarray((np.cross(R[2], points + R.T @ t) * normals).sum(axis=1))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class _Rays(Value):
-    """Rays of all rings over the target's azimuths: (R, A) of them, in the target frame.
-
-    Attributes:
-        points: (R, A, 3) where they meet the target's plane.
-        directions: (R, A, 3) unit vectors.
-        outside: (R, A) signed distance outside the target, metres.
-        inside: (R, A) whether they hit the target.
-        step: rad between two.
-    """
-
-    points: Floats
-    directions: Floats
-    outside: Floats
-    inside: Bools
-    step: float
-
-
-def _rays(target: Target, sensor: SensorModel, T_lidar_target: Floats) -> _Rays:
-    assert sensor.azimuth_step is not None
-    R, t = T_lidar_target[:3, :3], T_lidar_target[:3, 3]
-    corners = target.vertices @ R.T + t
-    middle = np.arctan2(t[1], t[0])
-    spread = np.angle(np.exp(1j * (np.arctan2(corners[:, 1], corners[:, 0]) - middle)))
-    step = sensor.azimuth_step
-    azimuths = middle + np.arange(spread.min() - 1.5 * step, spread.max() + 1.5 * step, step)
-    cos_e, sin_e = np.cos(sensor.elevations)[:, None], np.sin(sensor.elevations)[:, None]
-    beams = np.stack(
-        [cos_e * np.cos(azimuths), cos_e * np.sin(azimuths), np.broadcast_to(sin_e, (len(cos_e), len(azimuths)))],
-        axis=-1,
-    )
-    directions, origin = beams @ R, -R.T @ t
-    if origin[0] >= 0 or (directions[..., 0] <= 1e-6).any():
+    R, t = T[:, :3, :3], T[:, :3, 3]
+    if (np.einsum("bi,bi->b", R[:, :, 0], t) <= 0).any():
         raise InputError(f"target '{target.name}': the sensor is not on its -x side, in front of its plane")
-    points = origin + directions * (-origin[0] / directions[..., 0])[..., None]
-    outside = target.outside_distance(points[..., 1:].reshape(-1, 2)).reshape(points.shape[:2])
-    return _Rays(points, directions, outside, outside < 0, step)
+    hit, q = _crossings(target, sensor, T)
+    middle = (q * hit[..., None]).sum(axis=2, keepdims=True) / np.maximum(hit.sum(axis=2), 1)[..., None, None]
+    n = len(target)
+    points = np.concatenate([q, q, middle], axis=2)  # (B, rings, 2 n + 1, 3), target frame
+    normals = np.zeros((2 * n + 1, 3))
+    normals[:n, 1:] = target.normals
+    normals[n:, 0] = 1.0
+    p = np.einsum("bij,brkj->brki", R, points) + t[:, None, None]
+    N = np.einsum("bij,kj->bki", R, normals)[:, None]
+    ranges = np.linalg.norm(p, axis=-1)
+    by_azimuth = np.stack([-p[..., 1], p[..., 0], np.zeros_like(ranges)], axis=-1)
+    plane = R[:, None, None, :, 0]
+    along_ring = by_azimuth - p * ((by_azimuth * plane).sum(-1) / (p * plane).sum(-1))[..., None]
+    per_range = (p * N).sum(-1) / ranges
+
+    azimuth = np.angle((p[:, :, :n, 0] + 1j * p[:, :, :n, 1]) * (t[:, 0] - 1j * t[:, 1])[:, None, None])
+    span = np.where(hit, azimuth, -np.inf).max(axis=2) - np.where(hit, azimuth, np.inf).min(axis=2)
+    returns = np.where(hit.any(axis=2), span, 0.0) / sensor.azimuth_step
+    # A ring over a chord shorter than a step returns at times only.
+    ends = hit * np.minimum(returns, 1.0)[..., None]
+    count = np.concatenate([ends, hit * returns[..., None] / 6.0, returns[..., None] * 4.0 / 6.0], axis=2)
+
+    width = np.zeros_like(ranges)
+    width[..., :n] = sensor.beam_aperture + sensor.beam_divergence * ranges[..., :n]
+    variance = (per_range * sensor.range_noise) ** 2 + ((by_azimuth * N).sum(-1) * azimuth_noise) ** 2
+    variance[..., :n] += ((along_ring * N).sum(-1)[..., :n] * sensor.azimuth_step) ** 2 / 12.0
+    variance += width**2 / 12.0
+    # Moving the target by (omega, v) moves a point on it, held in space, by -(omega x q + v) relative to it. A
+    # noiseless row would be infinitely informative; a micrometre is as good as none.
+    J = np.concatenate([np.cross(points, normals), np.broadcast_to(normals, points.shape)], axis=-1)
+    return MeasuredRows(J, count / (variance + 1e-12), per_range * sensor.ring_bias, width / np.sqrt(12.0))
 
 
-def _ring_ends(target: Target, rays: _Rays) -> tuple[Floats, Floats, Floats, Ints, Floats]:
-    """Where rings enter and leave the target: outward normals, points, beams, rings, in-plane metres per radian."""
-    ring, column = np.nonzero(rays.inside[:, 1:] != rays.inside[:, :-1])
-    a, b = rays.points[ring, column], rays.points[ring, column + 1]
-    before, after = rays.outside[ring, column], rays.outside[ring, column + 1]
-    share = (before / (before - after))[:, None]
-    points = a + share * (b - a)
-    edge = (points[:, 1:] @ target.normals.T - target.offsets).argmax(axis=1)
-    normals = np.column_stack([np.zeros(len(edge)), target.normals[edge]])
-    return normals, points, rays.directions[ring, column], ring, (b - a) / rays.step
+def _crossings(target: Target, sensor: SensorModel, T: Floats) -> tuple[Bools, Floats]:
+    """(B, R, n) which rings cross which edges, and (B, R, n, 3) where, in the target frame: zeros where they don't.
+
+    Only rings that cross an edge of some pose are listed.
+    """
+    a = target.vertices
+    b = np.roll(a, -1, axis=0)
+    starts = np.einsum("bij,nj->bni", T[:, :3, :3], a) + T[:, None, :3, 3]
+    along = np.roll(starts, -1, axis=1) - starts
+    slopes = np.tan(sensor.elevations)
+    low, high = _slope(starts).min() - 0.05, _slope(starts).max() + 0.05
+    slopes = slopes[(slopes >= low) & (slopes <= high)][:, None]
+
+    def above(p: Floats) -> Floats:
+        return np.asarray(p[..., 2] - slopes * np.hypot(p[..., 0], p[..., 1]))
+
+    P, D = starts[:, None], along[:, None]
+    first = above(P)
+    last = np.roll(first, -1, axis=2)
+    hit = (first < 0) != (last < 0)
+    share = np.where(hit, first / np.where(hit, first - last, 1.0), 0.0)
+    for _ in range(3):  # Newton: a ring is almost straight over an edge
+        at = P + share[..., None] * D
+        slope = D[..., 2] - slopes * (at[..., 0] * D[..., 0] + at[..., 1] * D[..., 1]) / np.hypot(
+            at[..., 0], at[..., 1]
+        )
+        share = np.where(hit, np.clip(share - above(at) / np.where(hit, slope, 1.0), 0.0, 1.0), 0.0)
+    return hit, np.where(hit[..., None], a + share[..., None] * (b - a), 0.0)
+
+
+def _slope(p: Floats) -> Floats:
+    """Tangent of the elevation of points (..., 3)."""
+    return np.asarray(p[..., 2] / np.hypot(p[..., 0], p[..., 1]))

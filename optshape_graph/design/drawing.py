@@ -6,88 +6,20 @@ of the vertex list, which is given as seen from the other side.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Value, frozen
+from optshape_graph._arrays import Floats
+from optshape_graph.design.patterns import pattern_of
 from optshape_graph.design.polygons import centroids
+from optshape_graph.design.polylines import MM, Drawing, Layer, Polyline, Text
+from optshape_graph.errors import InputError
+from optshape_graph.names import shown
 from optshape_graph.target import Target
-
-MM = 1000.0
-"""Millimetres in a metre."""
-
 
 CHECK = 100.0
 """Length of the bar by which a print is measured, mm."""
-
-
-class Layer(StrEnum):
-    """What a line or a text is for; the name of its layer in a DXF file."""
-
-    CUT = "CUT"
-    DIMENSION = "DIMENSION"
-    MARK = "MARK"
-    SHEET = "SHEET"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Polyline(Value):
-    """A polyline.
-
-    Attributes:
-        points: (N, 2) mm.
-        layer: what it is for.
-        closed: whether the last point joins the first.
-        name: what it is called in the files that name things.
-    """
-
-    points: Floats
-    layer: Layer
-    closed: bool = False
-    name: str = ""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "points", frozen(self.points))
-
-
-@dataclass(frozen=True)
-class Text:
-    """A line of text centred on a point.
-
-    Attributes:
-        position: (x, y) of its centre, mm.
-        text: the text.
-        layer: what it is for.
-        height: of capitals, mm.
-        angle: of the baseline, counter-clockwise, rad.
-    """
-
-    position: tuple[float, float]
-    text: str
-    layer: Layer
-    height: float = 8.0
-    angle: float = 0.0
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """Lines and texts at 1:1, mm, x right and y up.
-
-    Attributes:
-        title: what it is called.
-        polylines: the lines.
-        texts: the texts.
-        low: (x, y) of the lower left corner of what is drawn.
-        high: (x, y) of the upper right corner.
-    """
-
-    title: str
-    polylines: tuple[Polyline, ...]
-    texts: tuple[Text, ...]
-    low: tuple[float, float]
-    high: tuple[float, float]
 
 
 def lidar_face(target: Target) -> Floats:
@@ -100,28 +32,77 @@ def vertices_of(face: Floats) -> Floats:
     return np.asarray(face / np.array([-MM, MM]))
 
 
-def draw(target: Target) -> Drawing:
-    """Draw the face of a target that the LiDAR sees, with its dimensions."""
+@dataclass(frozen=True)
+class Workshop:
+    """What a workshop is asked to mark and drill, millimetres; 0: nothing.
+
+    Attributes:
+        marker_inset: of a cross for a motion-capture marker, from each vertex inwards along its bisector.
+        hole_diameter: of a hole near each vertex, cut through.
+        hole_inset: of the hole's centre, from each vertex inwards along its bisector.
+
+    Raises:
+        InputError: a negative number, or a hole that reaches beyond the edge.
+    """
+
+    marker_inset: float = 0.0
+    hole_diameter: float = 0.0
+    hole_inset: float = 30.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if not getattr(self, field.name) >= 0:
+                raise InputError(f"{field.name}: expected millimetres, at least 0; found {getattr(self, field.name)}")
+
+
+def draw(target: Target, workshop: Workshop | None = None) -> Drawing:
+    """Draw the face of a target that the LiDAR sees: outline, what is printed on it, marks, holes and dimensions.
+
+    A printed pattern is kept clear of everything else, so that cameras find it.
+
+    Args:
+        target: the target.
+        workshop: what is to be marked and drilled, if anything.
+
+    Raises:
+        InputError: the pattern, a marker or a hole is not within the outline.
+        MissingExtraError: the target has tags, and OpenCV is absent.
+    """
+    workshop = Workshop() if workshop is None else workshop
     face = lidar_face(target)
     low, high = face.min(axis=0), face.max(axis=0)
     size = float(np.max(high - low))
     h = float(np.clip(size / 70.0, 2.5, 14.0))
-    lines = [Polyline(face, Layer.CUT, closed=True, name="outline")]
+    pattern = pattern_of(target)
+    lines = [*pattern, Polyline(face, Layer.CUT, closed=True, name="outline")]
     texts: list[Text] = []
     _edges(face, h, texts)
-    _diagonals(face, h, lines, texts)
+    if not pattern:
+        _angles(face, h, texts)
+        _diagonals(target, h, lines, texts)
+        _centre(h, lines)
+    _marks(target, workshop, h, lines)
     _extents(low, high, h, lines, texts)
-    _centre_and_up(face, h, lines, texts)
-    _title(target, face, h, texts)
+    _up(np.array([float(high[0]) + 3.2 * h if pattern else 0.0, 0.0]), h, lines, texts)
+    _title(target, face, h, bool(pattern), texts)
     _check_bar(low, h, lines, texts)
-    right, bottom = 5.5 * h, 8.0 * h
+    right, bottom = 5.5 * h, 8.0 * h + (1.8 * h if pattern else 0.0)
     return Drawing(
-        target.name,
+        shown(target.name),
         tuple(lines),
         tuple(texts),
         (float(low[0] - 7.5 * h), float(low[1] - bottom)),
         (float(high[0] + right), float(high[1] + 7.5 * h)),
     )
+
+
+def diagonals(target: Target) -> list[tuple[int, int]]:
+    """Return the pairs of vertices whose distances check a cut; of a polygon with many sides, the farthest pair."""
+    n, face = len(target), target.polygon
+    pairs = [(i, j) for i in range(n) for j in range(i + 2, n) if (i, j) != (0, n - 1)]
+    if n > 6:
+        pairs = [max(pairs, key=lambda pair: float(np.linalg.norm(face[pair[0]] - face[pair[1]])))]
+    return pairs
 
 
 def _edges(face: Floats, h: float, texts: list[Text]) -> None:
@@ -133,16 +114,19 @@ def _edges(face: Floats, h: float, texts: list[Text]) -> None:
         texts.append(_text((start + end) / 2 + 1.3 * h * outward, f"{length:.1f}", Layer.DIMENSION, h, along))
         away = _bisector(face, k)
         texts.append(_text(start + 1.6 * h * away, f"{k}", Layer.MARK, h))
-        texts.append(_text(start - 3.2 * h * away, f"{_angle_deg(face, k):.1f}°", Layer.DIMENSION, 0.7 * h))
 
 
-def _diagonals(face: Floats, h: float, lines: list[Polyline], texts: list[Text]) -> None:
-    """Draw the diagonals, which check the cut, with their lengths; of a polygon with many sides, only the longest."""
-    n = len(face)
-    pairs = [(i, j) for i in range(n) for j in range(i + 2, n) if (i, j) != (0, n - 1)]
-    if n > 6:
-        pairs = [max(pairs, key=lambda pair: float(np.linalg.norm(face[pair[0]] - face[pair[1]])))]
-    for i, j in pairs:
+def _angles(face: Floats, h: float, texts: list[Text]) -> None:
+    """Write each corner's angle into it."""
+    for k, corner in enumerate(face):
+        at = corner - 3.2 * h * _bisector(face, k)
+        texts.append(_text(at, f"{_angle_deg(face, k):.1f}°", Layer.DIMENSION, 0.7 * h))
+
+
+def _diagonals(target: Target, h: float, lines: list[Polyline], texts: list[Text]) -> None:
+    """Draw the diagonals with their lengths."""
+    face = lidar_face(target)
+    for i, j in diagonals(target):
         lines.append(Polyline(face[[i, j]], Layer.DIMENSION, name=f"diagonal-{i}-{j}"))
         along = face[j] - face[i]
         length = float(np.linalg.norm(along))
@@ -167,23 +151,62 @@ def _extents(low: Floats, high: Floats, h: float, lines: list[Polyline], texts: 
         texts.append(_text((a + b) / 2 + 1.2 * h * across, f"{extent:.1f}", Layer.DIMENSION, h, along))
 
 
-def _centre_and_up(face: Floats, h: float, lines: list[Polyline], texts: list[Text]) -> None:
-    """Mark the origin of the target frame, and which way is up."""
-    circle = np.radians(np.arange(0.0, 360.0, 10.0))
-    lines.append(Polyline(h * np.column_stack([np.cos(circle), np.sin(circle)]), Layer.MARK, closed=True))
+def _centre(h: float, lines: list[Polyline]) -> None:
+    """Mark the origin of the target frame."""
+    lines.append(Polyline(_circle(np.zeros(2), h), Layer.MARK, closed=True))
     lines.append(Polyline(np.array([[-2 * h, 0.0], [2 * h, 0.0]]), Layer.MARK, name="centre-level"))
     lines.append(Polyline(np.array([[0.0, -2 * h], [0.0, 2 * h]]), Layer.MARK, name="centre-upright"))
+
+
+def _up(at: Floats, h: float, lines: list[Polyline], texts: list[Text]) -> None:
+    """Say which way is up, above a point."""
     tip = 8.0 * h
-    lines.append(Polyline(np.array([[0.0, 3 * h], [0.0, tip]]), Layer.MARK, name="up"))
-    lines.append(Polyline(np.array([[-0.6 * h, tip - 1.5 * h], [0.0, tip], [0.6 * h, tip - 1.5 * h]]), Layer.MARK))
-    texts.append(Text((1.6 * h, tip - 1.0 * h), "UP", Layer.MARK, h))
+    lines.append(Polyline(at + np.array([[0.0, 3 * h], [0.0, tip]]), Layer.MARK, name="up"))
+    lines.append(Polyline(at + np.array([[-0.6 * h, tip - 1.5 * h], [0.0, tip], [0.6 * h, tip - 1.5 * h]]), Layer.MARK))
+    texts.append(_text(at + np.array([1.6 * h, tip - h]), "UP", Layer.MARK, h))
 
 
-def _title(target: Target, face: Floats, h: float, texts: list[Text]) -> None:
+def _marks(target: Target, workshop: Workshop, h: float, lines: list[Polyline]) -> None:
+    """Mark where markers go, and draw the holes."""
+    face = lidar_face(target)
+    for k, corner in enumerate(face):
+        inward = -_bisector(face, k)
+        if workshop.marker_inset > 0:
+            at = corner + workshop.marker_inset * inward
+            _check_inside(target, at, 0.0, f"the marker at vertex {k}")
+            for name, arm in (("level", [h, 0.0]), ("upright", [0.0, h])):
+                lines.append(Polyline(np.array([at - arm, at + arm]), Layer.MARK, name=f"marker-{k}-{name}"))
+        if workshop.hole_diameter > 0:
+            at = corner + workshop.hole_inset * inward
+            _check_inside(target, at, workshop.hole_diameter / 2, f"the hole at vertex {k}")
+            circle = _circle(at, workshop.hole_diameter / 2)
+            lines.append(Polyline(circle, Layer.CUT, closed=True, name=f"hole-{k}"))
+
+
+def _check_inside(target: Target, at: Floats, radius: float, what: str) -> None:
+    room = -MM * float(target.outside_distance(vertices_of(at[None]))[0])
+    if room <= radius:
+        raise InputError(
+            f"target '{target.name}': {what} is {room:.0f} mm from the edge; expected over {radius:.0f} mm"
+        )
+
+
+def _circle(centre: Floats, radius: float) -> Floats:
+    angles = np.radians(np.arange(0.0, 360.0, 5.0))
+    return np.asarray(centre + radius * np.column_stack([np.cos(angles), np.sin(angles)]))
+
+
+def _title(target: Target, face: Floats, h: float, below: bool, texts: list[Text]) -> None:
+    """Write the title; below: what is to be known, too, that would cover the pattern."""
     x = float(centroids(face)[0])
     y = float(face[:, 1].min()) - 3.8 * h
-    texts.append(Text((0.0, -4.0 * h), "THIS SIDE TO THE LiDAR", Layer.MARK, 1.1 * h))
-    texts.append(Text((x, y), f"{target.name}   {target.area:.4g} m²   scale 1:1   mm", Layer.MARK, h))
+    facing = (x, y - 4.8 * h) if below else (0.0, -4.0 * h)
+    texts.append(Text(facing, "THIS SIDE TO THE LiDAR", Layer.MARK, 1.1 * h))
+    texts.append(Text((x, y), f"{shown(target.name)}   {target.area:.4g} m²   scale 1:1   mm", Layer.MARK, h))
+    if below:
+        named = [f"{i}-{j}: {np.linalg.norm(face[i] - face[j]):.1f}" for i, j in diagonals(target)]
+        if named:
+            texts.append(Text((x, y - 1.7 * h), f"diagonals {', '.join(named)}", Layer.DIMENSION, 0.8 * h))
 
 
 def _check_bar(low: Floats, h: float, lines: list[Polyline], texts: list[Text]) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from optshape_graph.design.drawing import Drawing, Layer
-from optshape_graph.design.sheets import Sheet, lay_out
+from optshape_graph.design.polylines import Drawing, Layer, Polyline
+from optshape_graph.design.sheets import Orientation, Sheet, lay_out, plan
 from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io.documents import write_atomically
 
@@ -24,25 +25,39 @@ POINTS_PER_MM = 72.0 / MM_PER_INCH
 CAP_HEIGHT = 0.729
 """Height of capitals of DejaVu Sans, which matplotlib brings, per unit of font size."""
 
-COLOURS = {Layer.CUT: "black", Layer.DIMENSION: "#1f5fa8", Layer.MARK: "#444444", Layer.SHEET: "#c03020"}
-WIDTHS_MM = {Layer.CUT: 0.5, Layer.DIMENSION: 0.18, Layer.MARK: 0.25, Layer.SHEET: 0.18}
-DXF_COLOURS = {Layer.CUT: 7, Layer.DIMENSION: 5, Layer.MARK: 8, Layer.SHEET: 1}
+COLOURS = {
+    Layer.CUT: "black",
+    Layer.PRINT: "black",
+    Layer.DIMENSION: "#1f5fa8",
+    Layer.MARK: "#444444",
+    Layer.SHEET: "#c03020",
+}
+WIDTHS_MM = {Layer.CUT: 0.5, Layer.PRINT: 0.0, Layer.DIMENSION: 0.18, Layer.MARK: 0.25, Layer.SHEET: 0.18}
+DXF_COLOURS = {Layer.CUT: 7, Layer.PRINT: 250, Layer.DIMENSION: 5, Layer.MARK: 8, Layer.SHEET: 1}
 """AutoCAD colour indices."""
 
 DXF_DASH_SCALE = 20.0
 """Of the standard dash pattern, which is made for drawings of a few millimetres."""
 
 
-def export(drawing: Drawing, path: Path, paper: str | None = None) -> list[Path]:
+def export(
+    drawing: Drawing,
+    path: Path,
+    paper: str | None = None,
+    orientation: Orientation = "auto",
+    notes: Sequence[str] = (),
+) -> list[Path]:
     """Write a drawing at 1:1 in the format that the file name ends in.
 
     A PDF has a page per sheet; an SVG of several sheets becomes several files, numbered from the top left; a DXF is
-    for a machine, and always whole.
+    for a machine, and always whole. Several sheets come with a plan of them, as the last page or as NAME-plan.svg.
 
     Args:
         drawing: the drawing.
         path: the file: .svg, .pdf or .dxf.
         paper: A0 ... A4, to spread an SVG or a PDF over sheets; None: one sheet as large as the drawing.
+        orientation: of the sheets.
+        notes: lines of text for the plan, such as the parts.
 
     Returns:
         the files written.
@@ -57,15 +72,43 @@ def export(drawing: Drawing, path: Path, paper: str | None = None) -> list[Path]
     if suffix == "dxf":
         write_atomically(path, _dxf(drawing))
         return [path]
-    sheets = lay_out(drawing, paper)
+    sheets = lay_out(drawing, paper, orientation)
+    pages = [(drawing, sheet) for sheet in sheets]
+    if len(sheets) > 1:
+        overview = plan(drawing, sheets, list(notes), orientation)
+        pages += [(overview, lay_out(overview, None)[0])]
     if suffix == "pdf":
-        write_atomically(path, _pdf(drawing, sheets))
+        write_atomically(path, _pdf(pages))
         return [path]
-    many = len(sheets) > 1
-    paths = [path.with_stem(f"{path.stem}-{i + 1}") if many else path for i in range(len(sheets))]
-    for sheet_path, sheet in zip(paths, sheets, strict=True):
-        write_atomically(sheet_path, _svg(drawing, sheet))
+    paths = _named(path, len(sheets))
+    for page_path, (page, sheet) in zip(paths, pages, strict=True):
+        write_atomically(page_path, _svg(page, sheet))
     return paths
+
+
+def files_of(drawing: Drawing, path: Path, paper: str | None = None, orientation: Orientation = "auto") -> list[Path]:
+    """Return the files that `export` writes.
+
+    Args:
+        drawing: the drawing.
+        path: the file: .svg, .pdf or .dxf.
+        paper: as `export` takes it.
+        orientation: as `export` takes it.
+
+    Raises:
+        InputError: the paper is not known, or there would be too many sheets.
+    """
+    if path.suffix.lower() == ".dxf":
+        return [path]
+    sheets = lay_out(drawing, paper, orientation)
+    return _named(path, len(sheets)) if path.suffix.lower() == ".svg" else [path]
+
+
+def _named(path: Path, sheets: int) -> list[Path]:
+    """Return the name of a single sheet, or those of several and of their plan."""
+    if sheets == 1:
+        return [path]
+    return [path.with_stem(f"{path.stem}-{name}") for name in [*range(1, sheets + 1), "plan"]]
 
 
 def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
@@ -73,12 +116,15 @@ def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
 
     Raises:
         MissingExtraError: matplotlib is absent.
+        InputError: its settings are wrong.
     """
     try:
         from matplotlib.figure import Figure
         from matplotlib.patches import Polygon, Rectangle
     except ImportError as cause:
         raise missing_extra("matplotlib", "design", cause) from cause
+    except ValueError as error:  # of its settings, the environment's included
+        raise InputError(f"matplotlib does not start: {error} (is the variable MPLBACKEND wrong?)") from error
     width, height = sheet.size
     x, y = sheet.origin
     figure = Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH))
@@ -90,17 +136,7 @@ def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
     labels = () if sheet.label is None else (sheet.label,)
     for lines, texts, clip in ((drawing.polylines, drawing.texts, window), (sheet.marks, labels, None)):
         for line in lines:
-            style = (0, (12, 6)) if line.name.startswith("diagonal") else "solid"
-            patch = Polygon(
-                line.points,
-                closed=line.closed,
-                fill=False,
-                edgecolor=COLOURS[line.layer],
-                linewidth=WIDTHS_MM[line.layer] * POINTS_PER_MM,
-                linestyle=style,
-                joinstyle="miter",
-                gid=line.name or None,
-            )
+            patch = Polygon(line.points, closed=line.closed, gid=line.name or None, **_look(line))
             axes.add_patch(patch)
             if clip is not None:
                 patch.set_clip_path(clip)
@@ -115,11 +151,26 @@ def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
                 color=COLOURS[text.layer],
                 fontsize=text.height / CAP_HEIGHT * POINTS_PER_MM,
                 family="DejaVu Sans",
+                parse_math=False,  # a name may have dollars
             )
             if clip is not None:
                 artist.set_clip_path(clip)
                 artist.set_clip_on(True)
     return figure
+
+
+def _look(line: Polyline) -> dict[str, Any]:
+    """Return how matplotlib draws a line or an area."""
+    if line.filled:
+        # Without the blending of edges, by which white seams would run between neighbours.
+        return {"facecolor": COLOURS[line.layer], "edgecolor": "none", "linewidth": 0.0, "antialiased": False}
+    return {
+        "fill": False,
+        "edgecolor": COLOURS[line.layer],
+        "linewidth": WIDTHS_MM[line.layer] * POINTS_PER_MM,
+        "linestyle": (0, (12, 6)) if line.name.startswith("diagonal") else "solid",
+        "joinstyle": "miter",
+    }
 
 
 def _svg(drawing: Drawing, sheet: Sheet) -> bytes:
@@ -132,18 +183,18 @@ def _svg(drawing: Drawing, sheet: Sheet) -> bytes:
     return buffer.getvalue()
 
 
-def _pdf(drawing: Drawing, sheets: list[Sheet]) -> bytes:
-    figures = [figure_of(drawing, sheet) for sheet in sheets]
+def _pdf(pages: Sequence[tuple[Drawing, Sheet]]) -> bytes:
+    figures = [figure_of(drawing, sheet) for drawing, sheet in pages]
     import matplotlib
     from matplotlib.backends.backend_pdf import PdfPages
 
     buffer = io.BytesIO()
     with (
         matplotlib.rc_context({"pdf.fonttype": 42, "path.simplify": False}),
-        PdfPages(buffer, metadata={"CreationDate": None, "Title": drawing.title}) as pages,
+        PdfPages(buffer, metadata={"CreationDate": None, "Title": pages[0][0].title}) as file,
     ):
         for figure in figures:
-            pages.savefig(figure)
+            file.savefig(figure)
     return buffer.getvalue()
 
 
@@ -158,6 +209,10 @@ def _dxf(drawing: Drawing) -> str:
         document.layers.add(layer, color=DXF_COLOURS[layer])
     space = document.modelspace()
     for line in drawing.polylines:
+        if line.filled:
+            hatch = space.add_hatch(color=DXF_COLOURS[line.layer], dxfattribs={"layer": line.layer})
+            hatch.paths.add_polyline_path(line.points.tolist(), is_closed=True)
+            continue
         linetype = "DASHED" if line.name.startswith("diagonal") else "BYLAYER"
         space.add_lwpolyline(
             line.points.tolist(),

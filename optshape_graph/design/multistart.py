@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,9 @@ from optshape_graph.design.polygons import centred
 from optshape_graph.design.problem import Problem, Start, random_parameters, solve
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.documents import read_document, write_json
+from optshape_graph.runs.interruption import going_on
+from optshape_graph.runs.journal import locked
+from optshape_graph.runs.workers import Lost, Pool
 from optshape_graph.target import Target
 
 KIND = "design-start"
@@ -63,7 +66,7 @@ def search(
     problem: Problem,
     starts: int,
     seed: int,
-    workers: int = 1,
+    pool: Pool | None = None,
     folder: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Search:
@@ -73,28 +76,34 @@ def search(
         problem: what is sought.
         starts: number of starts.
         seed: start i is drawn from (seed, i).
-        workers: processes to share the starts among.
+        pool: what runs them; None: this process.
         folder: where finished starts are kept; those found there are not solved again.
         progress: called with the number of finished starts and that of all: once before the first, then with each.
 
     Raises:
-        InputError: `folder` holds starts of another problem or seed, or no start is asked for.
+        InputError: `folder` holds starts of another problem or seed, another run uses it, or no start is asked for.
+        EstimationError: the worker of a start was killed twice; the others are kept.
     """
-    if starts < 1 or workers < 1:
-        raise InputError(f"expected at least 1 start and 1 worker; found {starts} and {workers}")
+    if starts < 1:
+        raise InputError(f"expected at least 1 start; found {starts}")
     done: dict[int, Start] = {}
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         done = {i: _read(path, problem, seed) for i in range(starts) if (path := _path(folder, i)).exists()}
     if progress is not None:
         progress(len(done), starts)
-    todo = [i for i in range(starts) if i not in done]
-    for start in _solved(problem, seed, todo, min(workers, max(len(todo), 1))):
-        done[start.index] = start
-        if folder is not None:
-            write_json(_path(folder, start.index), _document(start, problem, seed))
-        if progress is not None:
-            progress(len(done), starts)
+    todo = ((i, i) for i in range(starts) if i not in done)
+    held = nullcontext() if folder is None else locked(folder)
+    advice = "no start is kept" if folder is None else f"finished starts are kept in {folder}; the same command goes on"
+    with held, going_on(lambda: advice):
+        for index, start in (pool or Pool()).run(partial(_solve_start, problem, seed), todo):
+            if isinstance(start, Lost):
+                raise EstimationError(f"start {index}: {start.reason}")
+            done[index] = start
+            if folder is not None:
+                write_json(_path(folder, index), _document(start, problem, seed))
+            if progress is not None:
+                progress(len(done), starts)
     return Search(problem, seed, tuple(done[i] for i in range(starts)))
 
 
@@ -111,23 +120,8 @@ def upright(polygon: Floats) -> Floats:
     return np.asarray(turned if upper >= lower else -turned)
 
 
-def _solved(problem: Problem, seed: int, todo: list[int], workers: int) -> Iterator[Start]:
-    if workers == 1:
-        for index in todo:
-            yield _solve_start(problem, seed, index)
-        return
-    # Spawned, not forked: a fork copies the locks of whatever threads the caller runs.
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        futures = [pool.submit(_solve_start, problem, seed, index) for index in todo]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        finally:
-            for future in futures:
-                future.cancel()
-
-
 def _solve_start(problem: Problem, seed: int, index: int) -> Start:
+    """Solve from one start: the task of a worker."""
     return solve(problem, random_parameters(problem, np.random.default_rng([seed, index])), index)
 
 

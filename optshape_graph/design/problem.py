@@ -100,7 +100,7 @@ def solve(problem: Problem, initial: Floats, index: int = 0) -> Start:
         initial: (5,) parameters.
         index: number to give the start.
     """
-    x = _unknowns(initial)
+    x = unknowns_of(initial)
     iterations = 0
     for step in problem.steps:
         x, used = _sequential_lp(problem, x, orientations(problem.rings, step))
@@ -108,7 +108,7 @@ def solve(problem: Problem, initial: Floats, index: int = 0) -> Start:
     angles = orientations(problem.rings, problem.steps[-1])
     scores, slacks = _evaluate(problem, x[None], angles)
     slack = float(slacks.min()) + MARGIN
-    end = tuple(float(value) for value in _parameters(x[None])[0])
+    end = tuple(float(value) for value in parameters_of(x[None])[0])
     return Start(index, tuple(map(float, initial)), end, float(scores.min()), slack, iterations)
 
 
@@ -116,7 +116,7 @@ def random_parameters(problem: Problem, rng: np.random.Generator) -> Floats:
     """(5,) parameters of a random convex member of the family."""
     while True:
         x = np.append(rng.uniform(0.0, 2 * np.pi), SPREAD[1:] * rng.standard_normal(4))
-        parameters = _parameters(x[None])[0]
+        parameters = parameters_of(x[None])[0]
         if problem.family.depths(parameters).min() > 10 * SMALLEST_DEPTH:
             return np.asarray(parameters)
 
@@ -169,7 +169,7 @@ def _lp_step(problem: Problem, x: Floats, angles: Floats, radius: float) -> Floa
 
 def _evaluate(problem: Problem, x: Floats, angles: Floats) -> tuple[Floats, Floats]:
     """(B, R, m) scores and (B, c) slacks, less MARGIN, of (B, 5) unknowns; images that are not convex score 0."""
-    parameters = _parameters(x)
+    parameters = parameters_of(x)
     depths = problem.family.depths(parameters)
     convex = np.atleast_1d((depths > 0).all(axis=-1))
     if not convex.all():
@@ -186,11 +186,11 @@ def _merit(scores: Floats, slacks: Floats) -> Floats:
     return np.asarray(scores.min(axis=(1, 2)) + PENALTY * np.minimum(slacks.min(axis=-1), 0.0))
 
 
-def _parameters(x: Floats) -> Floats:
+def parameters_of(x: Floats) -> Floats:
     return np.column_stack([x[:, 0], x[:, 1], np.exp(x[:, 2]), x[:, 3:]])
 
 
-def _unknowns(parameters: Floats) -> Floats:
+def unknowns_of(parameters: Floats) -> Floats:
     """(5,) theta, k, log lambda, v1, v2: what the solver moves."""
     unknowns = np.array(parameters, dtype=float)
     unknowns[2] = np.log(unknowns[2])

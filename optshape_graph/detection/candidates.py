@@ -22,9 +22,9 @@ class Candidate(Value):
 
     Attributes:
         rows: (N,) of the ordered scan.
-        core: (K,) those of the patch it grew from: without tips that few returns are on, and without bits of a stand.
         plane: through them.
         area: square metres that their beams cover, gaps of lost returns included.
+        centroid: (2,) of that area, along the plane's axes, metres.
         spread: (2,) standard deviations of that area along its principal axes, the smaller first, metres.
         n_rings: rings that have returns on it.
         cut: it reaches the sensor's lowest or highest ring: part of it may be out of view.
@@ -33,9 +33,9 @@ class Candidate(Value):
     """
 
     rows: Ints
-    core: Ints
     plane: ReturnsPlane
     area: float
+    centroid: Floats
     spread: Floats
     n_rings: int
     cut: bool
@@ -70,13 +70,13 @@ def grow(scan: OrderedScan, patch: Patch, reach: float) -> Candidate:
     member = member[without_limbs(scan, member, plane)]
     runs = find_runs(scan, member)
     plane = fit_plane(scan.points[member], scan.ring[member])
-    area, spread = _covered_area(scan, runs, plane)
+    area, centroid, spread = _covered_area(scan, runs, plane)
     ends = find_borders(scan, member)
     return Candidate(
         rows=runs.rows,
-        core=runs.rows[seed[runs.rows]],
         plane=plane,
         area=area,
+        centroid=centroid,
         spread=spread,
         n_rings=len(np.unique(runs.ring)),
         cut=bool(runs.ring[0] == 0 or runs.ring[-1] == len(scan.elevations) - 1),
@@ -100,8 +100,8 @@ def _connected(scan: OrderedScan, runs: Runs, seed: Bools) -> Bools:
     return np.repeat((overlap & near).any(axis=1), runs.last - runs.first + 1)
 
 
-def _covered_area(scan: OrderedScan, runs: Runs, plane: ReturnsPlane) -> tuple[float, Floats]:
-    """Area in the plane that the beams of the runs stand for, square metres, and its spread (2,).
+def _covered_area(scan: OrderedScan, runs: Runs, plane: ReturnsPlane) -> tuple[float, Floats, Floats]:
+    """Area in the plane that the beams of the runs stand for, square metres, its centroid (2,) and spread (2,).
 
     A beam's solid angle cos(e) da de covers r^2 cos(e) da de / cos(incidence).
     """
@@ -112,8 +112,9 @@ def _covered_area(scan: OrderedScan, runs: Runs, plane: ReturnsPlane) -> tuple[f
     weight = density * of_run
     yz = (points - plane.centre) @ plane.axes[1:].T
     area = float(weight.sum())
-    yz -= weight @ yz / area
-    return area, np.sqrt(np.linalg.eigvalsh((yz * weight[:, None]).T @ yz / area).clip(min=0.0))
+    centroid = weight @ yz / area
+    yz -= centroid
+    return area, centroid, np.sqrt(np.linalg.eigvalsh((yz * weight[:, None]).T @ yz / area).clip(min=0.0))
 
 
 def without_limbs(scan: OrderedScan, rows: Ints, plane: ReturnsPlane) -> Bools:

@@ -25,16 +25,18 @@ class DetectFile:
     Attributes:
         targets: to look for.
         sensor: that made the scans; None: unknown.
+        columns: names of the clouds' columns that have none, in order; None: they name their own.
         then: called with path, scan and detections, to draw them, and returns the pictures; None: nothing is drawn.
     """
 
     targets: tuple[Target, ...]
     sensor: SensorModel | None = None
+    columns: tuple[str, ...] | None = None
     then: Callable[[str, Scan, Detections], Sequence[Path]] | None = None
 
     def __call__(self, path: str) -> Outcome:
         try:
-            scan = read_scan(path, self.sensor)
+            scan = read_scan(path, self.sensor, self.columns)
             detections = detect_targets(scan, self.targets)
         except (InputError, EstimationError) as error:
             return Outcome(UNREADABLE, (str(error),), self.failed(path, str(error)).entry)
@@ -54,4 +56,7 @@ class DetectFile:
 
     def describe(self) -> dict[str, Any]:
         """Return what decides the results, as plain data."""
-        return {"targets": [to_record(target) for target in self.targets], "sensor": to_record(self.sensor)}
+        return {
+            "targets": [to_record(target) for target in self.targets], "sensor": to_record(self.sensor),
+            "columns": self.columns and list(self.columns),
+        }  # fmt: skip

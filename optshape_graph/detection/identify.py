@@ -9,9 +9,10 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.detection.candidates import Candidate, Size
-from optshape_graph.detection.judge import edge_margin, judge, objections, returns_of, undoubted
+from optshape_graph.detection.judge import edge_margin, judge, objections, outline_error, returns_of, undoubted
+from optshape_graph.detection.outline import Boundary, OutlineFit, first_look, look_again
 from optshape_graph.detection.results import Detection, Evidence, Rejection
-from optshape_graph.detection.segments import OrderedScan, ring_ends
+from optshape_graph.detection.segments import OrderedScan, find_borders, ring_ends
 from optshape_graph.errors import EstimationError
 from optshape_graph.pose import PoseEstimate, estimate_pose
 from optshape_graph.scan import Scan
@@ -36,7 +37,9 @@ class _Misfit:
 
 
 PASSED_AT_FIRST = 3
-"""Tests before a pose is estimated: of size, number of rings, and how they end."""
+"""Tests before a target's outline is laid over a candidate: of size, number of rings, and how they end."""
+
+_LOOK_SD = 0.005  # standard deviation of the place that a look finds, metres
 
 
 def identify(
@@ -56,14 +59,16 @@ def identify(
     """
     fits: list[_Fit] = []
     rejected: list[Rejection] = []
-    for target, size in zip(targets, sizes, strict=True):
-        fit = _compare(scan, ordered, candidate, target, size)
+    looks = _first_looks(ordered, candidate, targets, sizes)
+    for target, look in zip(targets, looks, strict=True):
+        fit = look if isinstance(look, _Misfit) else _fit(scan, ordered, candidate, look, target)
         if isinstance(fit, _Misfit):
             rejected.append(rejection(candidate, fit.reason, fit.passed, target.name))
         else:
             fits.append(fit)
     if not fits:
         return None, rejected
+    fits = [fit for fit in fits if fit.estimate.status != "doubtful"] or fits
     likelihoods = _likelihoods(scan, ordered, fits)
     order = np.argsort(-likelihoods, kind="stable")
     best = fits[order[0]]
@@ -72,12 +77,10 @@ def identify(
     status, reason = best.estimate.status, best.estimate.reason
     share = np.exp(likelihoods[order] - np.logaddexp.reduce(likelihoods))
     probabilities = {fits[k].estimate.target.name: float(p) for k, p in zip(order, share, strict=True)}
-    evidence, options = best.evidence, ordered.options
-    if status == "ok" and evidence.seen < options.certain_seen:
-        status, reason = "ambiguous", f"only {evidence.seen:.0%} of its outline is within the field of view"
-    elif status == "ok" and evidence.distinct < options.certain_distinct:
-        n_rings = len(np.unique(ordered.ring[best.rows]))
-        status, reason = "ambiguous", f"the ends of its {n_rings} rings would fit surfaces of other shapes too"
+    options = ordered.options
+    unsure = objections(best.evidence, options.sure_evidence)
+    if status == "ok" and unsure:
+        status, reason = "ambiguous", f"it may be something else: {unsure[0]}"
     if rival is not None and margin < options.pose.ambiguity_margin:
         likely = ", ".join(f"'{name}' {100 * p:.2g} %" for name, p in probabilities.items() if p > 1e-3)
         status, reason = "ambiguous", f"its returns do not tell the targets apart: {likely}"
@@ -112,41 +115,65 @@ def rejection(candidate: Candidate, reason: str, passed: int, target: str = "") 
     )
 
 
-def _compare(scan: Scan, ordered: OrderedScan, candidate: Candidate, target: Target, size: Size) -> _Fit | _Misfit:
-    """Fit a target to a candidate, or say why it is not that target."""
-    problem = size.objection(candidate, ordered.options)
-    if problem:
-        return _Misfit(problem, 0)
-    fit = _fit(scan, ordered, candidate, candidate.rows, target)
-    if isinstance(fit, _Misfit) and len(candidate.core) < len(candidate.rows):
-        # A bit of a stand can pass for the tip of a target. Without it the pose may be found, and then the true tips.
-        again = _fit(scan, ordered, candidate, candidate.core, target)
-        return fit if isinstance(again, _Misfit) else again
-    return fit
+def _first_looks(
+    ordered: OrderedScan, candidate: Candidate, targets: Sequence[Target], sizes: Sequence[Size]
+) -> list[OutlineFit | _Misfit]:
+    """Lay the outline of each target over a candidate, and turn down those that cannot be it."""
+    options, looks = ordered.options, list[OutlineFit | _Misfit]()
+    boundary = Boundary.of(ordered, candidate.rows, candidate.plane)
+    for target, size in zip(targets, sizes, strict=True):
+        problem = size.objection(candidate, options)
+        looks.append(_Misfit(problem, 0) if problem else first_look(boundary, candidate.centroid, target))
+    best = max((look.log_odds for look in looks if isinstance(look, OutlineFit)), default=0.0)
+    for k, look in enumerate(looks):
+        if isinstance(look, _Misfit):
+            continue
+        if look.edged < options.first_look:
+            reason = f"at a first look only {look.edged:.0%} of the ends of its rings lie on its outline"
+            looks[k] = _Misfit(reason, PASSED_AT_FIRST)
+        elif look.log_odds < best - options.first_look_odds:
+            reason = (
+                f"at a first look another of the targets fits better (log odds {best:.0f} against {look.log_odds:.0f})"
+            )
+            looks[k] = _Misfit(reason, PASSED_AT_FIRST)
+    return looks
 
 
-def _fit(scan: Scan, ordered: OrderedScan, candidate: Candidate, rows: Ints, target: Target) -> _Fit | _Misfit:
-    """Estimate the pose, and choose the returns again by its outline, until the ends of the rings stay the same."""
+def _fit(scan: Scan, ordered: OrderedScan, candidate: Candidate, look: OutlineFit, target: Target) -> _Fit | _Misfit:
+    """Choose the returns by the outline, until their rings end where they did, and estimate the pose they give."""
+    rows, passed = _returns_at(ordered, target, look), PASSED_AT_FIRST + 1
+    for _ in range(ordered.options.rounds):
+        if len(rows) == 0:
+            return _Misfit("none of its returns lies inside the outline laid over it", passed)
+        ends, hidden = ring_ends(ordered, rows), find_borders(ordered, rows).hidden
+        look = look_again(Boundary.of(ordered, rows, candidate.plane, hidden), target, look.T_lidar_target)
+        rows = _returns_at(ordered, target, look)
+        if np.array_equal(ring_ends(ordered, rows), ends):
+            break
     for _ in range(ordered.options.rounds):
         try:
             estimate = estimate_pose(scan.select(ordered.index[rows]), target, options=ordered.options.pose)
         except EstimationError as error:
-            return _Misfit(str(error), PASSED_AT_FIRST)
-        margin = edge_margin(ordered, estimate)
-        inside = returns_of(ordered, estimate, margin)
-        if len(inside) == 0:
-            return _Misfit("none of its returns lies inside the outline at the pose they give", PASSED_AT_FIRST)
-        if np.array_equal(ring_ends(ordered, inside), ring_ends(ordered, rows)):
+            return _Misfit(str(error), passed)
+        margin = edge_margin(ordered, target, estimate.T_lidar_target, outline_error(estimate))
+        again = returns_of(ordered, target, estimate.T_lidar_target, margin)
+        if estimate.status != "failed" or estimate.unobservable or len(again) == 0 or np.array_equal(again, rows):
             break
-        rows = inside
+        rows = again  # near a rim that blooms, what the pose takes for the target's own may suit it better
     # A pose that is not determined is no objection to the target being there.
     if estimate.status == "failed" and not estimate.unobservable:
-        return _Misfit(estimate.reason, PASSED_AT_FIRST)
-    evidence = judge(ordered, candidate.rows, inside, estimate, margin)
+        return _Misfit(estimate.reason, passed)
+    evidence = judge(ordered, candidate, rows, estimate, margin)
     against = objections(evidence, ordered.options.least_evidence)
     if against:
-        return _Misfit("; ".join(against), PASSED_AT_FIRST + 1 + len(fields(evidence)) - len(against))
-    return _Fit(inside, estimate, evidence)
+        return _Misfit("; ".join(against), passed + 1 + len(fields(evidence)) - len(against))
+    return _Fit(rows, estimate, evidence)
+
+
+def _returns_at(ordered: OrderedScan, target: Target, look: OutlineFit) -> Ints:
+    """(N,) rows of the returns inside an outline, and as far outside as the target blooms."""
+    margin = edge_margin(ordered, target, look.T_lidar_target, _LOOK_SD)
+    return returns_of(ordered, target, look.T_lidar_target, margin)
 
 
 def _likelihoods(scan: Scan, ordered: OrderedScan, fits: Sequence[_Fit]) -> Floats:

@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
+from scipy.special import expit
 
-from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph.detection.candidates import Candidate
+from optshape_graph.detection.outline import Boundary, look_again, rectangle_log_odds
 from optshape_graph.detection.rays import Rays, fired_near, returned_near
 from optshape_graph.detection.results import Evidence
-from optshape_graph.detection.segments import OrderedScan, find_borders, ring_ends
+from optshape_graph.detection.segments import OrderedScan, find_borders
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.se3 import apply
+from optshape_graph.target import Target
 
+_ALIKE = 14.0  # log odds that a rectangle is spared, for nothing tells it from another of nearly its size
 _CENTRAL = 1.96  # standard deviations about the plane within which 95 % of the returns lie
-_STRAYS = 0.1  # share of ring ends that lie anywhere: mixed, lost, or on what touches the target
 
 
-def edge_margin(scan: OrderedScan, estimate: PoseEstimate) -> float:
+def edge_margin(scan: OrderedScan, target: Target, T_lidar_target: Floats, pose_sd: float) -> float:
     """Return how far outside the outline a return of the target may lie, metres: half a beam, noise, the pose's error.
 
     A pose that is not determined would allow anything; a tenth of the target is enough.
+
+    Args:
+        scan: the ordered scan.
+        target: the template.
+        T_lidar_target: (4, 4).
+        pose_sd: standard deviation of the outline's place, metres.
     """
-    distance = float(np.linalg.norm(estimate.T_lidar_target[:3, 3]))
-    pose = 2.0 * outline_error(estimate)
+    distance = float(np.linalg.norm(T_lidar_target[:3, 3]))
     sampling = distance * (0.5 * scan.resolution.step + scan.resolution.beam)
-    return sampling + scan.resolution.range_noise + min(pose, 0.1 * float(estimate.target.offsets.min()))
+    return sampling + scan.resolution.range_noise + min(2.0 * pose_sd, 0.1 * float(target.offsets.min()))
 
 
 def outline_error(estimate: PoseEstimate) -> float:
@@ -38,14 +47,14 @@ def outline_error(estimate: PoseEstimate) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(given[1:, 1:])[-1]))
 
 
-def returns_of(scan: OrderedScan, estimate: PoseEstimate, margin: float) -> Ints:
+def returns_of(scan: OrderedScan, target: Target, T_lidar_target: Floats, margin: float) -> Ints:
     """Return the rows (N,) of a target's returns: in its plane, inside its outline or at most `margin` outside.
 
     A ring whose rays nearly all pass through the target's place does not meet it: what returns there is a pole.
     """
-    rays = returned_near(scan, estimate, estimate.target.circumradius + margin)
-    band = scan.band(estimate.plane[:3], estimate.T_lidar_target[:3, 3])
-    within, behind, ring = estimate.target.contains(rays.crossing, margin), rays.points[:, 0], scan.ring[rays.rows]
+    rays = returned_near(scan, T_lidar_target, target.circumradius + margin)
+    band = scan.band(T_lidar_target[:3, 0], T_lidar_target[:3, 3])
+    within, behind, ring = target.contains(rays.crossing, margin), rays.points[:, 0], scan.ring[rays.rows]
     on, through = within & (np.abs(behind) <= band), within & (behind > band)
     n_rings = len(scan.elevations)
     count_on, count_through = (np.bincount(ring[which], minlength=n_rings) for which in (on, through))
@@ -69,12 +78,12 @@ def undoubted(scan: OrderedScan, estimate: PoseEstimate, rows: Ints) -> Bools:
     return np.asarray(estimate.target.contains(yz, -inset) & (np.abs(behind) <= _CENTRAL * estimate.plane_rms))
 
 
-def judge(scan: OrderedScan, connected: Ints, own: Ints, estimate: PoseEstimate, margin: float) -> Evidence:
+def judge(scan: OrderedScan, candidate: Candidate, own: Ints, estimate: PoseEstimate, margin: float) -> Evidence:
     """Weigh what speaks for a target at a pose.
 
     Args:
         scan: the ordered scan.
-        connected: (N,) rows of the ordered scan, the connected returns in the target's plane.
+        candidate: the surface.
         own: (M,) rows of the ordered scan, the target's returns.
         estimate: the pose.
         margin: metres about the outline within which a ray may be on either side.
@@ -82,8 +91,8 @@ def judge(scan: OrderedScan, connected: Ints, own: Ints, estimate: PoseEstimate,
     target = estimate.target
     slack = 2.0 * margin / float(target.offsets.min())
     outer = 1.0 + slack + scan.options.rim
-    rays = returned_near(scan, estimate, outer * target.circumradius)
-    fired = fired_near(scan, estimate, outer * target.circumradius)
+    rays = returned_near(scan, estimate.T_lidar_target, outer * target.circumradius)
+    fired = fired_near(scan, estimate.T_lidar_target, outer * target.circumradius)
     band = scan.band(estimate.plane[:3], estimate.T_lidar_target[:3, 3])
     behind = rays.points[:, 0]
     on, through, before = np.abs(behind) <= band, behind > band, behind < -band
@@ -98,17 +107,21 @@ def judge(scan: OrderedScan, connected: Ints, own: Ints, estimate: PoseEstimate,
     expected = max(float(fired_inside.sum() - (inside & before).sum()), 1.0)
     n_on = float((inside & on).sum())
     borders = find_borders(scan, own)
-    ends = _Ends.of(scan, own, borders.hidden, estimate)
+    boundary = Boundary.of(scan, own, candidate.plane, borders.hidden)
+    look = look_again(boundary, target, estimate.T_lidar_target)
+    rectangle = rectangle_log_odds(boundary, target.circumradius)
+    against_rectangle = look.log_odds - rectangle + (_ALIKE if _is_rectangle(target) else 0.0)
+    apart, seen = _beyond_sides(scan, estimate, rays, fired, band)
     return Evidence(
-        contained=float(np.isin(connected, rays.rows[upto_rim]).mean()),
+        contained=float(np.isin(candidate.rows, rays.rows[upto_rim]).mean()),
         covered=min(n_on / expected, 1.0),
-        edged=ends.edged,
+        edged=look.edged,
         solid=n_on / max(n_on + float((inside & through).sum()), 1.0),
         free=max(1.0 - float((beside & (on | before)).sum()) / max(float(fired_beside.sum()), 1.0), 0.0),
         stepped=float(borders.open.mean()),
-        apart=_apart(scan, estimate, rays, fired, band),
-        seen=_seen(scan, estimate),
-        distinct=ends.distinct(2.0 * target.circumradius),
+        apart=apart,
+        seen=seen,
+        distinct=float(expit(min(look.log_odds, against_rectangle))),
     )
 
 
@@ -122,8 +135,8 @@ def objections(evidence: Evidence, least: Evidence) -> list[str]:
         "free": f"{1 - evidence.free:.0%} of the rays beside it return from its plane or from before it",
         "stepped": not_stepped(evidence.stepped),
         "apart": f"at one side {1 - evidence.apart:.0%} of the rays just beyond meet something that begins there",
-        "seen": f"only {evidence.seen:.0%} of its outline is within the field of view",
-        "distinct": "surfaces of other shapes look like it",
+        "seen": f"only {evidence.seen:.0%} of its outline has rays that pass just beyond it",
+        "distinct": "its ring ends would fit a surface of another shape too",
     }
     reached = {
         field.name: getattr(evidence, field.name) / (getattr(least, field.name) or 1e-9) for field in fields(least)
@@ -136,64 +149,16 @@ def not_stepped(share: float) -> str:
     return f"only at {share:.0%} of the ends of its rings does the range jump back"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class _Ends(Value):
-    """Where the ends of rings lie about a target's outline, those that something hides left out.
-
-    Attributes:
-        off: (S, M) distance of the boundary that each end stands for from the outline, metres, for common shifts.
-        sd: (M,) its standard deviation, metres.
-    """
-
-    off: Floats
-    sd: Floats
-
-    @classmethod
-    def of(cls, scan: OrderedScan, own: Ints, hidden: Bools, estimate: PoseEstimate) -> _Ends:
-        """Look at the ends of the rings on a target's returns, `own` (N,); `hidden` (2 M,) says which to leave out.
-
-        A ring's last return lies up to a step inside the outline, uniformly. How much of a beam must hit shifts all of
-        them by up to half a beam, and each by as much again; a bright target blooms, and seems larger.
-        """
-        target, T = estimate.target, estimate.T_target_lidar
-        points, normal = scan.points[ring_ends(scan, own)], estimate.plane[:3]
-        onward = np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
-        outward = np.repeat([-1.0, 1.0], len(points) // 2)[:, None] * onward
-        outward -= points * ((outward @ normal) / (points @ normal))[:, None]
-        yz, step = (points @ T[:3, :3].T + T[:3, 3])[:, 1:], scan.resolution.step * (outward @ T[:3, :3].T)[:, 1:]
-        last_hit, first_miss = target.outside_distance(yz), target.outside_distance(yz + step)
-        beam, floor = scan.resolution.beam * np.linalg.norm(points, axis=1), scan.resolution.range_noise
-        most = float(beam.mean()) + floor
-        shifts = np.arange(-most, most + scan.options.blooming, 0.2 * most)[:, None]
-        variance = (first_miss - last_hit) ** 2 / 12 + beam**2 / 3 + (0.5 * floor) ** 2
-        return cls((0.5 * (last_hit + first_miss) - shifts)[:, ~hidden], np.sqrt(variance)[~hidden])
-
-    @property
-    def edged(self) -> float:
-        """Share within two standard deviations of the outline, for the shift that suits them best."""
-        return float((np.abs(self.off) < 2.0 * self.sd).mean(axis=1).max()) if len(self.sd) else 0.0
-
-    def distinct(self, size: float) -> float:
-        """Probability that this is not one of as many surfaces of about a size, metres, and any shape.
-
-        Each end of such a surface lies anywhere within a fifth of the size. Pose and shift are fitted, so four ends
-        say nothing.
-        """
-        if not len(self.sd):
-            return 0.0
-        reach = 0.2 * size
-        fits = np.exp(-0.5 * (self.off / self.sd) ** 2) / (np.sqrt(2 * np.pi) * self.sd)
-        gain = np.log((1.0 - _STRAYS) * fits * reach + _STRAYS).sum(axis=1).max()
-        fitted = 2.0 * np.log(reach**2 / 12.0 / np.mean(self.sd**2) * max(len(self.sd) / 4.0, 1.0))
-        return float(1.0 / (1.0 + np.exp(min(fitted - gain, 700.0))))
-
-
-def _apart(scan: OrderedScan, estimate: PoseEstimate, rays: Rays, fired: Floats, band: float) -> float:
-    """Share of the rays just beyond a side that do not return from something that begins there, at the worst side.
+def _beyond_sides(
+    scan: OrderedScan, estimate: PoseEstimate, rays: Rays, fired: Floats, band: float
+) -> tuple[float, float]:
+    """Share of the rays just beyond a side that do not meet something that begins there, at the worst side; and share
+    of the outline just beyond which rays pass, half as many as elsewhere at least, and nothing stops them before it.
 
     A surface through the side, like the next face of a box, is met by a ray that misses the side by q within
-    q / cos(incidence) of it. What stands behind a target is further away. In front of a target the floor may be seen
-    at a more grazing angle, and little else can be, so a wider strip is looked at there.
+    q / cos(incidence) of it; what is in the target's own plane, give or take the noise, is looked past. What stands
+    behind a target is further away. In front of a target the floor may be seen at a more grazing angle, and little
+    else can be, so a wider strip is looked at there.
     """
     options, target, sensor = scan.options, estimate.target, estimate.T_target_lidar[:3, 3]
     start = target.polygon
@@ -217,10 +182,10 @@ def _apart(scan: OrderedScan, estimate: PoseEstimate, rays: Rays, fired: Floats,
     of_ray = np.abs((normal * to_line).sum(axis=1)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
     slack = options.band_sigmas * scan.resolution.range_noise
 
-    def attached(reach: Floats, angle: float, off_plane: Bools) -> float:
+    def attached(reach: Floats, angle: float, farthest: float, off_plane: Bools) -> float:
         """Share of the rays within `reach` (n,) beyond a side, that begin at it, at the worst side."""
         near = (outside > 0) & (outside < reach[side])
-        begins = near & off_plane & (of_return <= of_ray / np.cos(angle) + slack)
+        begins = near & off_plane & (of_return <= np.minimum(of_ray / np.cos(angle) + slack, farthest))
         on = near & (np.abs(rays.points[:, 0]) <= band)
         beyond = (fired_outside > 0) & (fired_outside < reach[fired_side])
         of_side = [np.bincount(which, minlength=len(start)) for which in (fired_side[beyond], side[on], side[begins])]
@@ -228,20 +193,17 @@ def _apart(scan: OrderedScan, estimate: PoseEstimate, rays: Rays, fired: Floats,
         told = expected >= options.fewest_returns
         return float((of_side[2][told] / expected[told]).max(initial=0.0))
 
-    strip = np.maximum(options.side_strip, 2.0 * options.fewest_returns / (density * length))
+    strip = np.maximum(options.side_strip, 2.0 * options.fewest_returns / (density * length)) + 2.0 * band
     rim = np.maximum(strip, options.rim * target.offsets.min())
-    behind = attached(strip, options.steepest, rays.points[:, 0] > band)
-    before = attached(rim, options.grazing, rays.points[:, 0] < -band)
-    return max(1.0 - max(behind, before), 0.0)
+    behind = attached(strip, options.steepest, options.hung_before - band, rays.points[:, 0] > band)
+    before = attached(rim, options.grazing, np.inf, rays.points[:, 0] < -band)
+    stopped = (outside > 0) & (outside < strip[side]) & (rays.points[:, 0] < -band)
+    there = (fired_outside > 0) & (fired_outside < strip[fired_side])
+    count = np.bincount(fired_side[there], minlength=len(start)) - np.bincount(side[stopped], minlength=len(start))
+    seen = np.clip(count / (0.5 * density * length * strip), 0.0, 1.0)
+    return max(1.0 - max(behind, before), 0.0), float(length @ seen / length.sum())
 
 
-def _seen(scan: OrderedScan, estimate: PoseEstimate) -> float:
-    """Share of the outline that is within the sensor's field of view."""
-    corner = estimate.vertices
-    part = np.linspace(0.0, 1.0, 20, endpoint=False)[:, None, None]
-    outline = (corner + part * (np.roll(corner, -1, axis=0) - corner)).reshape(-1, 3)
-    weight = np.tile(np.linalg.norm(np.roll(corner, -1, axis=0) - corner, axis=1), len(part))
-    elevation = np.arctan2(outline[:, 2], np.hypot(outline[:, 0], outline[:, 1]))
-    heights = 0.5 * scan.ring_heights
-    lowest, highest = scan.elevations[0] - heights[0], scan.elevations[-1] + heights[-1]
-    return float(weight @ ((elevation > lowest) & (elevation < highest)) / weight.sum())
+def _is_rectangle(target: Target) -> bool:
+    corners = (target.normals * np.roll(target.normals, 1, axis=0)).sum(axis=1)
+    return len(target) == 4 and bool((np.abs(corners) < 0.02).all())

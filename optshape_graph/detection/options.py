@@ -80,24 +80,24 @@ class DetectionOptions:
     limb_slack: float = 3.0
     least_evidence: Evidence = field(
         default=Evidence(
-            contained=0.8,
-            covered=0.6,
-            edged=0.75,
-            solid=0.9,
-            free=0.75,
-            stepped=0.75,
-            apart=0.5,
-            seen=0.3,
-            distinct=0.0,
+            contained=0.8, covered=0.6, edged=0.75, solid=0.9, free=0.75, stepped=0.75, apart=0.5, seen=0.4,
+            distinct=1e-4,
         )
-    )
+    )  # fmt: skip
+    sure_evidence: Evidence = field(
+        default=Evidence(
+            contained=0.9, covered=0.75, edged=0.85, solid=0.9, free=0.8, stepped=0.85, apart=0.8, seen=0.7,
+            distinct=0.999,
+        )
+    )  # fmt: skip
     rim: float = 0.4
     side_strip: float = 0.05
+    hung_before: float = 0.2
     grazing: float = float(np.radians(85.0))
     blooming: float = 0.025
-    certain_distinct: float = 0.999
-    certain_seen: float = 0.7
     pierced_rays: int = 6
     pierced_share: float = 3.0
     rounds: int = 3
+    first_look: float = 0.6
+    first_look_odds: float = 30.0
     pose: PoseOptions = field(default_factory=PoseOptions)

@@ -8,7 +8,7 @@ import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.detection.segments import OrderedScan
-from optshape_graph.pose import PoseEstimate
+from optshape_graph.se3 import inverse
 
 _STEEP = 1e-3  # cosine of incidence below which a ray counts as parallel to the plane
 
@@ -28,21 +28,21 @@ class Rays(Value):
     points: Floats
 
 
-def returned_near(scan: OrderedScan, estimate: PoseEstimate, radius: float) -> Rays:
+def returned_near(scan: OrderedScan, T_lidar_target: Floats, radius: float) -> Rays:
     """Find the returned rays that pass within `radius`, metres, of a target's origin in its plane."""
-    T = estimate.T_target_lidar
-    near = scan.toward(estimate.T_lidar_target[:3, 3], radius)
+    T = inverse(T_lidar_target)
+    near = scan.toward(T_lidar_target[:3, 3], radius)
     points = scan.points[near] @ T[:3, :3].T + T[:3, 3]
     crossing, meets = _cross(points, T[:3, 3], scan.range[near], radius)
     return Rays(near[meets], crossing[meets], points[meets])
 
 
-def fired_near(scan: OrderedScan, estimate: PoseEstimate, radius: float) -> Floats:
+def fired_near(scan: OrderedScan, T_lidar_target: Floats, radius: float) -> Floats:
     """Return where the rays that were fired within `radius` of a target's origin meet its plane, (M, 2), metres.
 
     Whether they returned or not: azimuths a step apart on every ring of the sensor.
     """
-    centre, T = estimate.T_lidar_target[:3, 3], estimate.T_target_lidar
+    centre, T = T_lidar_target[:3, 3], inverse(T_lidar_target)
     away, flat = float(np.linalg.norm(centre)), float(np.hypot(centre[0], centre[1]))
     half = np.arcsin(min(radius / away, 1.0)) if away > 0 else np.pi
     elevation = np.arcsin(centre[2] / away)

@@ -32,8 +32,9 @@ class Evidence(Value):
             bends away, or something stands before it, there is no edge to be seen.
         apart: of the rays just beyond the side where it is least, those that do not return from something that begins
             at that side: the next face of a box, the floor.
-        seen: of its outline, what is within the field of view.
-        distinct: probability that it is not one of as many surfaces of other shapes: the ends of few rings fit any.
+        seen: of its outline, the part just beyond which rays pass: none do out of the field of view, behind something,
+            or between two rings far apart.
+        distinct: probability that it is no surface of another shape, such as a rectangle: few ring ends fit any.
     """
 
     contained: float
@@ -153,6 +154,7 @@ class Rejection(Value):
         """Return what the JSON form says of this surface, as plain data."""
         return {
             "reason": self.reason,
+            "passed": self.passed,
             "target": self.target or None,
             "centre": self.centre.tolist(),
             "returns": self.n_returns,

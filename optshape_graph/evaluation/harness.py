@@ -9,35 +9,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
-from optshape_graph.errors import InputError, missing_extra
+from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.documents import read_json, write_json
+from optshape_graph.runs.interruption import going_on
+from optshape_graph.runs.journal import locked
+from optshape_graph.runs.workers import Lost, OneThread, Pool
 
 Row = dict[str, Any]
 Progress = Callable[[int, int], None]
 """Called with the number of finished tasks and that of all tasks."""
 
 T = TypeVar("T")
-
-SCHEDULER_TIMEOUT_S = 10
-"""How long to wait for a Dask scheduler to answer."""
-
-
-class _OneThread(Generic[T]):
-    """A task's function on one thread of linear algebra: the sum of a product depends on how it is split."""
-
-    def __init__(self, function: Callable[[T], list[Row]]) -> None:
-        self.function = function
-
-    def __call__(self, number: int, task: T) -> tuple[int, list[Row]]:
-        from threadpoolctl import threadpool_limits
-
-        with threadpool_limits(1):
-            return number, self.function(task)
 
 
 def run_tasks(
@@ -46,8 +32,7 @@ def run_tasks(
     folder: str | Path,
     describe: Mapping[str, Any],
     *,
-    workers: int = 1,
-    dask: str | None = None,
+    pool: Pool | None = None,
     progress: Progress | None = None,
 ) -> list[Row]:
     """Run every task that is not finished yet, and return the rows of all, in the order of the tasks.
@@ -59,54 +44,37 @@ def run_tasks(
         folder: where finished tasks are kept, made if it is not there. Another call with the same description takes
             them from there.
         describe: plain data that say what is run, version included: tasks of another description are not mixed in.
-        workers: processes on this machine.
-        dask: address of a Dask scheduler whose workers are used instead.
+        pool: what runs them; None: this process.
         progress: called when a task is finished, and once before the first.
 
     Raises:
-        InputError: the folder holds another sweep, a damaged file, or `workers` is not positive.
-        MissingExtraError: joblib or Dask is absent.
+        InputError: the folder holds another sweep, or a damaged file; or another run uses it.
+        EstimationError: a task's worker was killed twice; the others are finished, and kept.
+        MissingExtraError: Dask is asked for, and absent.
     """
-    if workers < 1:
-        raise InputError(f"expected at least one worker, found {workers}")
     folder = Path(folder)
     _claim(folder, {**describe, "tasks": len(tasks)})
     todo = [number for number in range(len(tasks)) if not _path(folder, number).exists()]
     finished = len(tasks) - len(todo)
     if progress is not None:
         progress(finished, len(tasks))
-    if todo:
-        with _parallel(workers, dask) as (parallel, delayed):
-            work = _OneThread(function)
-            for number, rows in parallel(delayed(work)(number, tasks[number]) for number in todo):
-                write_json(_path(folder, number), {"schema": "optshape/sweep-task/1", "task": number, "rows": rows})
-                finished += 1
-                if progress is not None:
-                    progress(finished, len(tasks))
+    lost: dict[int, str] = {}
+    with locked(folder), going_on(lambda: f"finished tasks are kept in {folder}; the same command goes on there"):
+        for number, rows in (pool or Pool()).run(OneThread(function), ((n, tasks[n]) for n in todo)):
+            if isinstance(rows, Lost):
+                lost[number] = rows.reason
+                continue
+            write_json(_path(folder, number), {"schema": "optshape/sweep-task/1", "task": number, "rows": rows})
+            finished += 1
+            if progress is not None:
+                progress(finished, len(tasks))
+    if lost:
+        number, reason = next(iter(lost.items()))
+        raise EstimationError(
+            f"{folder}: {len(lost)} of {len(tasks)} tasks have no result, the first is {number}: {reason}; "
+            "the same command tries them again"
+        )
     return [row for number in range(len(tasks)) for row in _read(_path(folder, number), number)]
-
-
-@contextmanager
-def _parallel(workers: int, dask: str | None) -> Iterator[tuple[Any, Any]]:
-    """Joblib's Parallel, giving results as they come, on processes or on a Dask cluster."""
-    try:
-        import joblib
-    except ImportError as cause:
-        raise missing_extra("joblib", "evaluate", cause) from cause
-    with ExitStack() as stack:
-        if dask is None:
-            stack.enter_context(joblib.parallel_config(backend="loky", n_jobs=workers, inner_max_num_threads=1))
-        else:
-            try:
-                from distributed import Client
-            except ImportError as cause:
-                raise missing_extra("distributed", "dask", cause) from cause
-            try:
-                stack.enter_context(Client(dask, timeout=SCHEDULER_TIMEOUT_S))  # type: ignore[no-untyped-call]  # no stubs
-            except (OSError, ValueError) as error:
-                raise InputError(f"no Dask scheduler answers at {dask} ({error})") from error
-            stack.enter_context(joblib.parallel_config(backend="dask", n_jobs=-1))
-        yield joblib.Parallel(return_as="generator_unordered"), joblib.delayed
 
 
 def _claim(folder: Path, describe: Mapping[str, Any]) -> None:

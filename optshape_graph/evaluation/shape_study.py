@@ -22,6 +22,7 @@ from optshape_graph.design.rings import UniformRings
 from optshape_graph.errors import EstimationError
 from optshape_graph.evaluation.harness import Progress, Row, run_tasks
 from optshape_graph.pose import estimate_pose
+from optshape_graph.runs.workers import Pool
 from optshape_graph.se3 import rotation, rotation_vector, transform
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation import NoiseModel, simulate_target
@@ -151,7 +152,7 @@ def study_shapes(
     seed: int,
     folder: str | Path,
     *,
-    workers: int = 1,
+    pool: Pool | None = None,
     progress: Progress | None = None,
 ) -> ShapeStudy:
     """Simulate every shape at every placement, with the sensor's own noise, and estimate its pose.
@@ -162,12 +163,12 @@ def study_shapes(
         placements: (N, 4, 4) T_lidar_target.
         seed: of the noise; the result depends on it and not on the number of workers.
         folder: where finished shapes are kept: a study that was killed goes on there.
-        workers: processes to share the shapes among.
+        pool: what runs it; None: this process.
         progress: called when a shape is finished, and once before the first.
 
     Raises:
         InputError: the folder holds another study.
-        MissingExtraError: joblib is absent.
+        MissingExtraError: Dask is asked for, and absent.
     """
     describe = {
         "kind": "shape study",
@@ -179,7 +180,7 @@ def study_shapes(
     }
     describe = {key: _plain(value) for key, value in describe.items()}
     trials = partial(_trials, sensor, placements, seed)
-    rows = run_tasks(trials, list(enumerate(targets)), folder, describe, workers=workers, progress=progress)
+    rows = run_tasks(trials, list(enumerate(targets)), folder, describe, pool=pool, progress=progress)
     by_shape = [[row for row in rows if row["shape"] == index] for index in range(len(targets))]
     shapes = [_collected(target, own) for target, own in zip(targets, by_shape, strict=True)]
     return ShapeStudy(tuple(shapes), placements)

@@ -18,6 +18,7 @@ from optshape_graph.evaluation.harness import Progress, Row, run_tasks
 from optshape_graph.evaluation.metrics import normalised_error, pose_error, quantisation_error, vertex_jacobian
 from optshape_graph.evaluation.tables import Table
 from optshape_graph.pose import estimate_pose
+from optshape_graph.runs.workers import Pool
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, random_rings, simulate_target, without_rings
@@ -162,8 +163,7 @@ def run_simulation(
     sweep: SimulationSweep,
     folder: str | Path,
     *,
-    workers: int = 1,
-    dask: str | None = None,
+    pool: Pool | None = None,
     progress: Progress | None = None,
     estimator: Estimator | None = None,
 ) -> Table:
@@ -172,14 +172,13 @@ def run_simulation(
     Args:
         sweep: what to run.
         folder: where finished tasks are kept; a sweep that was killed goes on there.
-        workers: processes on this machine.
-        dask: address of a Dask scheduler to use instead.
+        pool: what runs it; None: this process.
         progress: called as tasks finish.
         estimator: in place of `estimate_pose`; importable by name.
 
     Raises:
         InputError: the folder holds another sweep (see `run_tasks`).
-        MissingExtraError: joblib or Dask is absent.
+        MissingExtraError: Dask is asked for, and absent.
     """
     estimator = estimate_pose_by_method if estimator is None else estimator
     cells = list(product(sweep.noise, sweep.orientations, sweep.distances))
@@ -188,7 +187,7 @@ def run_simulation(
         for cell, (noise, orientation, distance) in enumerate(cells)
         for draws in _blocks(sweep.draws)
     ]
-    return Table(run_tasks(run_task, tasks, folder, sweep.describe(), workers=workers, dask=dask, progress=progress))
+    return Table(run_tasks(run_task, tasks, folder, sweep.describe(), pool=pool, progress=progress))
 
 
 def estimate_pose_by_method(scan: Scan, target: Target, method: str) -> Estimate:

@@ -169,6 +169,15 @@ def beside_published(cells: Iterable[Row], published: Sequence[PublishedRow] = T
     return beside
 
 
+def check_parquet() -> None:
+    """Find out before the work is done that Parquet cannot be written.
+
+    Raises:
+        MissingExtraError: pyarrow is absent.
+    """
+    _pyarrow()
+
+
 def _pyarrow() -> tuple[Any, Any]:
     try:
         import pyarrow as pa

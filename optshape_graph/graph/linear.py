@@ -17,7 +17,7 @@ import scipy.linalg
 import scipy.sparse as sparse
 from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
 
-from optshape_graph._arrays import Floats, Value
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.errors import EstimationError
 
 LOOSEST = 1e3
@@ -114,13 +114,20 @@ class LinearSystem(Value):
         gradient: Floats = np.asarray(self.A.T @ self.b)
         return 0.5 * float(gradient @ self._solve(gradient))
 
-    def covariance(self, keys: Sequence[int]) -> Floats:
-        """Return the joint covariance (d, d) of variables, in their order; of a pose, rotation (rad) first."""
-        index = np.concatenate([np.arange(self.columns[key].start, self.columns[key].stop) for key in keys])
+    def columns_of_covariance(self, keys: Sequence[int]) -> Floats:
+        """Return the covariance (n, d) matrix of all unknowns with those of some variables, in their order."""
+        index = self._index(keys)
         unit = np.zeros((self.A.shape[1], len(index)))
         unit[index, np.arange(len(index))] = 1.0
-        covariance = self._solve(unit)[index]
+        return self._solve(unit)
+
+    def covariance(self, keys: Sequence[int]) -> Floats:
+        """Return the joint covariance (d, d) of variables, in their order; of a pose, rotation (rad) first."""
+        covariance = self.columns_of_covariance(keys)[self._index(keys)]
         return np.asarray(0.5 * (covariance + covariance.T))
+
+    def _index(self, keys: Sequence[int]) -> Ints:
+        return np.concatenate([np.arange(self.columns[key].start, self.columns[key].stop) for key in keys])
 
     @cached_property
     def unobservable(self) -> Floats:

@@ -147,3 +147,17 @@ class SharedErrorsModel(Value):
             add_rows(linear, [*keys, term.keys[s]], [*by, E[n, :, : len(term.errors[s])]], d[n])
         for key, errors, rows in zip(term.keys, term.errors, self.alone, strict=True):
             add_rows(linear, [key], [rows[:, : len(errors)]], -rows[:, -1])
+
+
+def bias_gain(measurement: BiasedMeasurement, T_target_lidar: Floats) -> Floats:
+    """Return J^T W B (6, k): what the errors, in standard deviations, add to a measurement's information vector.
+
+    W is the inverse of I + B B^T: the information that is left where the errors are taken for the measurement's own.
+
+    Args:
+        measurement: with k shared errors.
+        T_target_lidar: (4, 4) pose, at whose right perturbation J is the whitened derivative.
+    """
+    k = len(measurement.shared)
+    B, J = measurement.stack[:, :k], measurement.stack[:, k:-1] @ vec_derivative(T_target_lidar)
+    return np.asarray(J.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, B))

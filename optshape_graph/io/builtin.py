@@ -10,6 +10,13 @@ from optshape_graph.io.files import is_file
 _DATA = Path(__file__).resolve().parents[1] / "data"
 
 
+RENAMED = {
+    "target": {"optimal": "score-optimal", "optimal3": "score-optimal3", "optimal5": "score-optimal5"},
+    "sensor": {},
+}
+"""Former names that files may have: what `optimal` maximises is the paper's score, not how well a pose is known."""
+
+
 def builtin_names(kind: str) -> list[str]:
     """The names of the built-in `kind` ("target" or "sensor"), in order."""
     return sorted(path.stem for path in (_DATA / f"{kind}s").glob("*.yaml"))
@@ -29,6 +36,7 @@ def find(kind: str, name: str, folder: Path | None = None) -> Path:
         InputError: neither a built-in name nor a file.
     """
     names = builtin_names(kind)
+    name = RENAMED[kind].get(name, name)
     if name in names:
         return _DATA / f"{kind}s" / f"{name}.yaml"
     path = Path(name) if folder is None else folder / name

@@ -287,15 +287,17 @@ def _angles(path: Path) -> Facts:
 def _markers(path: Path) -> Facts:
     from optshape_graph.io.markers import UNITS, read_markers
 
+    fitting = {}
     for unit in UNITS:
         try:
-            markers = read_markers(path, unit)
+            fitting[unit] = read_markers(path, unit)
         except InputError as error:
             said = error
-            continue
-        return {"form": "markers (session key `mocap`)", "unit, by their size": unit, "frames": len(markers.frames),
-                "markers": ", ".join(markers.names)}  # fmt: skip
-    raise said
+    if not fitting:
+        raise said
+    markers = next(iter(fitting.values()))
+    return {"form": "markers (session key `mocap`)", "unit, by their size": " or ".join(fitting),
+            "frames": len(markers.frames), "markers": ", ".join(markers.names)}  # fmt: skip
 
 
 def _mocap(path: Path, form: str) -> Facts:

@@ -119,6 +119,36 @@ def opencv() -> Any:
     return cv2
 
 
+def tag_dictionary(name: str) -> Any:
+    """Return OpenCV's predefined dictionary of a name such as `APRILTAG_36h11` or `4X4_50`.
+
+    Raises:
+        InputError: OpenCV has none of that name.
+        MissingExtraError: OpenCV is absent.
+    """
+    cv2 = opencv()
+    known = {key.lower(): key for key in dir(cv2.aruco) if key.startswith("DICT_")}
+    key = known.get(f"DICT_{name}".lower())
+    if key is None:
+        names = ", ".join(sorted(key.removeprefix("DICT_") for key in known.values()))
+        raise InputError(f"no tag dictionary '{name}'; expected one of {names}")
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, key))
+
+
+def tag_cells(dictionary: str, number: int) -> NDArray[np.bool_]:
+    """Return the (m, m) cells of a tag, its black border included, top row first: True where it is white.
+
+    Raises:
+        InputError: no such dictionary, or no such tag in it.
+        MissingExtraError: OpenCV is absent.
+    """
+    tags = tag_dictionary(dictionary)
+    count = len(tags.bytesList)
+    if not 0 <= number < count:
+        raise InputError(f"tag dictionary '{dictionary}': no tag {number}; it has 0 to {count - 1}")
+    return np.asarray(tags.generateImageMarker(number, tags.markerSize + 2, borderBits=1) > 127)
+
+
 def _png_size(data: bytes) -> tuple[int, int]:
     """Width and height in the first chunk, where all chunks up to the last are there (PNG, section 5.3)."""
     at, kind = 8, b""

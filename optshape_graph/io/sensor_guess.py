@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
-from optshape_graph.io.builtin import builtin_names
-from optshape_graph.io.sensors import load_sensor
+from optshape_graph.io.sensors import builtin_sensors, load_sensor
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
 
@@ -62,7 +60,7 @@ def guess_sensor(scan: Scan) -> Guess:
     """
     elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
     found: list[tuple[float, bool, str]] = []
-    for sensor in _builtin():
+    for sensor in builtin_sensors():
         misfit = _of_rings(scan.ring, elevation, sensor) if scan.ring is not None else _of_elevations(elevation, sensor)
         if misfit is not None and misfit <= FARTHEST_OFF:
             gap = float(np.median(np.diff(sensor.elevations)))
@@ -73,11 +71,6 @@ def guess_sensor(scan: Scan) -> Guess:
         return Guess(None, misfits)
     alone = len(found) == 1 or found[1][0] > CLEAR * max(found[0][0], SMALLEST)
     return Guess(load_sensor(found[0][2]) if alone else None, misfits)
-
-
-@cache
-def _builtin() -> tuple[SensorModel, ...]:
-    return tuple(load_sensor(name) for name in builtin_names("sensor"))
 
 
 def _of_rings(ring: Ints, elevation: Floats, sensor: SensorModel) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -92,9 +93,15 @@ def _of_maker(path: Path, table: MakerTable) -> SensorModel:
         raise InputError(f"{path}: {error}") from error
 
 
+@cache
+def builtin_sensors() -> tuple[SensorModel, ...]:
+    """Return all built-in sensors, in the order of their names."""
+    return tuple(load_sensor(name) for name in builtin_names("sensor"))
+
+
 def nearest_builtin(elevations: Floats) -> SensorModel | None:
     """Return the built-in sensor whose table is nearest to elevations (R,), rad; None: none has such a table."""
-    sensors = [load_sensor(name) for name in builtin_names("sensor")]
+    sensors = builtin_sensors()
     alike = [(float(np.abs(sensor.elevations - elevations).max()), k) for k, sensor in enumerate(sensors)
              if sensor.n_rings == len(elevations)]  # fmt: skip
     if not alike or min(alike)[0] > ALIKE:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from optshape_graph.errors import InputError
-from optshape_graph.io.builtin import builtin_names, find
+from optshape_graph.io.builtin import RENAMED, builtin_names, find
 from optshape_graph.io.documents import Node, read_document, write_yaml
 from optshape_graph.target import Chessboard, Tags, Target
 
@@ -24,7 +24,7 @@ def load_target(name_or_path: str | Path, folder: Path | None = None) -> Target:
             corners of a convex polygon in the target frame (see `Target`).
     """
     name, _, area = str(name_or_path).partition("@")
-    if area and name in builtin_names("target"):
+    if area and (name in builtin_names("target") or name in RENAMED["target"]):
         try:
             scaled = load_target(name).scaled_to_area(float(area))
         except ValueError as error:  # InputError is one

@@ -9,6 +9,7 @@ from optshape_graph.mapping.incremental import LandmarkSlam, Outcome
 from optshape_graph.mapping.map import Landmark, Map, load_map, save_map
 from optshape_graph.mapping.merge import merge_maps
 from optshape_graph.mapping.motion import MotionFactor, MotionMeasurement, deskew, estimate_moving, solve_motion
+from optshape_graph.mapping.recording import MapResult, map_recording
 from optshape_graph.mapping.track import MappingProblem, Match, Odometry, Sighting, Start, Track
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "Landmark",
     "LandmarkSlam",
     "Map",
+    "MapResult",
     "MappingProblem",
     "Match",
     "MotionFactor",
@@ -29,6 +31,7 @@ __all__ = [
     "estimate_moving",
     "factor_graph",
     "load_map",
+    "map_recording",
     "merge_maps",
     "save_map",
     "solve_batch",

@@ -46,25 +46,26 @@ def solve_batch(
     as_built.insert(values)
     for prior in as_built.priors():
         factors.push_back(prior)
-    left = [(t, match) for t, match in problem.matches if match not in as_built.matches]
-    biased = [(t, match, match.biased) for t, match in left] if ring_biases else []
-    found = [(t, match, measurement) for t, match, measurement in biased if measurement is not None]
+    chains = [keys.chain(t, match) for t, match in problem.matches]
+    biased = {
+        k: measurement
+        for k, (_, match) in enumerate(problem.matches)
+        if ring_biases and k not in as_built.numbers and (measurement := match.biased) is not None
+    }
     shared = SharedErrors.of(
-        [measurement for *_, measurement in found],
-        [keys.chain(t, match) for t, match, _ in found],
-        [keys.biases[t, match.sighting.lidar] for t, match, _ in found],
+        list(biased.values()),
+        [chains[k] for k in biased],
+        [keys.biases[problem.matches[k][0], problem.matches[k][1].sighting.lidar] for k in biased],
         loss,
     )
     shared.insert(values)
-    with_biases = [match for _, match, _ in found]
-    others = set(with_biases)
-    plain = [(t, match) for t, match in left if match not in others]
-    alone = Templates.of([m.measurement for _, m in plain], [keys.chain(t, m) for t, m in plain], loss)
+    taken = {*as_built.numbers, *biased}
+    plain = [k for k in range(len(chains)) if k not in taken]
+    alone = Templates.of([problem.matches[k][1].measurement for k in plain], [chains[k] for k in plain], loss)
 
     solution = solve(values, [as_built, shared, alone], factors, keys.names(problem))
-    groups = as_built.matches, with_biases, [match for _, match in plain]
     models: Any = solution.models
-    judged = list(zip(groups, models, strict=True))
+    judged = list(zip((as_built.numbers, list(biased), plain), models, strict=True))
     return BatchSolution(problem, solution, keys, as_built.refined(problem, solution.values), judged)
 
 

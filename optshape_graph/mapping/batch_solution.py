@@ -104,14 +104,14 @@ class BatchSolution(Value):
         solution: of all variables.
         keys: of the poses of each track, and of the landmarks.
         templates: of the landmarks, their vertices as built where those were refined.
-        judged: the matches of each term, with what the solution's model of it says of them.
+        judged: numbers of the matches of each term, with what the solution's model of it says of them.
     """
 
     problem: MappingProblem
     solution: Solution
     keys: Keys
     templates: Mapping[str, Target]
-    judged: Sequence[tuple[Sequence[Match], Judged]]
+    judged: Sequence[tuple[Sequence[int], Judged]]
 
     def __repr__(self) -> str:
         poses, landmarks = sum(map(len, self.keys.poses)), len(self.keys.landmarks)
@@ -148,13 +148,13 @@ class BatchSolution(Value):
     def residuals(self) -> tuple[Residual, ...]:
         """How well each match fits, in the order of tracks and matches."""
         found = {
-            match: (float(chi2), float(weight))
-            for matches, model in self.judged
-            for match, chi2, weight in zip(matches, model.chi2, model.weight, strict=True)
+            k: (float(chi2), float(weight))
+            for numbers, model in self.judged
+            for k, chi2, weight in zip(numbers, model.chi2, model.weight, strict=True)
         }
         return tuple(
-            Residual(self.problem.tracks[t].name, match.pose, match.landmark, *found[match])
-            for t, match in self.problem.matches
+            Residual(self.problem.tracks[t].name, match.pose, match.landmark, *found[k])
+            for k, (t, match) in enumerate(self.problem.matches)
         )
 
     @property

@@ -7,7 +7,9 @@ moves on, stale summaries are made again, some after every few poses, or all of 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -15,12 +17,13 @@ from gtsam.symbol_shorthand import L, X
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors import Summary, summarise
+from optshape_graph.factors import SharedError, Summary, summarise
 from optshape_graph.factors._rows import gaussian
+from optshape_graph.graph.shared import bias_gain
 from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.smoother import Smoother, joint_prior, root_of
 from optshape_graph.mapping.track import Match, Odometry, Start
-from optshape_graph.se3 import inverse
+from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 LOSS = 4.1
@@ -63,17 +66,28 @@ class _Held:
     handle: int
 
 
+class _Pending(NamedTuple):
+    """The newest pose while nothing but odometry, or nothing at all, links it: it goes in with its matches."""
+
+    pose: int
+    stamp: float
+    T_world_lidar: Floats
+    odometry: Odometry | None
+
+
 class IncrementalGraph:
     """Poses by number and landmarks by name; whatever makes GTSAM raise is taken out again.
 
+    The newest pose enters the smoother together with its matches, in one update; it can be asked for before.
+
     Attributes:
         landmarks: what is known of each, by name.
-        odometry: between the poses, as far as a lag has kept it.
     """
 
     def __init__(self, lag: float | None) -> None:
         self.landmarks: dict[str, Known] = {}
-        self.odometry: list[Odometry] = []
+        self._pending: _Pending | None = None
+        self._odometry: list[Odometry] = []
         self._smoother = Smoother(lag)
         self._held: list[_Held] = []
         self._turn = 0
@@ -81,7 +95,7 @@ class IncrementalGraph:
         self._loss = gtsam.noiseModel.mEstimator.Huber.Create(LOSS)
 
     def __contains__(self, pose: int) -> bool:
-        return X(pose) in self._smoother
+        return X(pose) in self._smoother or (self._pending is not None and self._pending.pose == pose)
 
     @property
     def lag(self) -> float | None:
@@ -93,10 +107,23 @@ class IncrementalGraph:
         """All matches that are in force."""
         return tuple(held.match for held in self._held)
 
+    @property
+    def odometry(self) -> tuple[Odometry, ...]:
+        """Between the poses, as far as a lag has kept it."""
+        self._flush()
+        return tuple(self._odometry)
+
+    @property
+    def pending(self) -> Odometry | None:
+        """The odometry that alone leads to the newest pose so far; None: it is not alone, or there is none."""
+        return None if self._pending is None else self._pending.odometry
+
     # ---- out ---------------------------------------------------------------------------------------------------------
 
     def T_world_lidar(self, pose: int) -> Floats:
         """Return the estimate (4, 4) of a pose."""
+        if self._pending is not None and self._pending.pose == pose:
+            return self._pending.T_world_lidar
         return self._smoother.pose(X(pose))
 
     def T_world_target(self, name: str) -> Floats:
@@ -115,14 +142,67 @@ class IncrementalGraph:
         for pose in poses:
             if pose not in self:
                 raise InputError(f"pose {pose} is not in the graph")
-        return self._smoother.covariance([*(self.landmarks[name].key for name in landmarks), *map(X, poses)])
+        keys = [self.landmarks[name].key for name in landmarks]
+        pending = self._pending
+        if pending is None or pending.pose not in poses:
+            return self._smoother.covariance([*keys, *map(X, poses)])
+        if pending.odometry is None:
+            raise InputError(f"pose {pending.pose} is linked to nothing yet")
+        # X' = X D moves by Ad(D^-1) xi + the error of D.
+        before = [pending.odometry.i if pose == pending.pose else pose for pose in poses]
+        distinct = list(dict.fromkeys(before))
+        joint = self._smoother.covariance([*keys, *map(X, distinct)])
+        J = np.zeros((6 * (len(keys) + len(poses)), len(joint)))
+        J[: 6 * len(keys), : 6 * len(keys)] = np.eye(6 * len(keys))
+        added = np.zeros((len(J), len(J)))
+        for n, (pose, known) in enumerate(zip(poses, before, strict=True), len(keys)):
+            rows, columns = slice(6 * n, 6 * n + 6), 6 * (len(keys) + distinct.index(known))
+            D = pending.odometry.T_i_j if pose == pending.pose else np.eye(4)
+            J[rows, columns : columns + 6] = adjoint(inverse(D))
+            if pose == pending.pose:
+                added[rows, rows] = pending.odometry.covariance
+        return np.asarray(J @ joint @ J.T + added)
+
+    def covariance_with_biases(self, landmarks: Sequence[str] = (), poses: Sequence[int] = ()) -> Floats:
+        """Return the joint covariance, and in it that the biases of a LiDAR's rings don't average away.
+
+        The estimate takes the biases of each match for its own: x = P sum_k J_k^T W_k r_k, W_k the inverse of
+        I + B_k B_k^T. With G_k = J_k^T W_k B_k and G their sum, x moves by P G beta if all biases are one beta, of
+        which P holds sum_k P G_k G_k^T P. So the covariance is P + P G G^T P - sum_k P G_k G_k^T P.
+
+        Raises:
+            InputError: no such landmark or pose, or one that a lag has marginalised.
+        """
+        self._flush()
+        plain = self.covariance(landmarks, poses)
+        biased = [(held, held.match.biased) for held in self._held]
+        found = [(held, measurement) for held, measurement in biased if measurement is not None]
+        if not found:
+            return plain
+        system = self._smoother.system()
+        keys = [*(self.landmarks[name].key for name in landmarks), *map(X, poses)]
+        moved = system.columns_of_covariance(keys)  # P, of all variables, by those asked for
+        shared: dict[tuple[str, SharedError], Floats] = {}
+        covariance = plain
+        for held, measurement in found:
+            G, H = bias_gain(measurement, held.T_target_lidar), held.T_target_lidar
+            target, lidar = (
+                system.columns[key] for key in (self.landmarks[held.match.landmark].key, X(held.match.pose))
+            )
+            by_bias = (moved[lidar].T - moved[target].T @ adjoint(inverse(H)).T) @ G
+            covariance = covariance - by_bias @ by_bias.T
+            for error, column in zip(measurement.shared, by_bias.T, strict=True):
+                own = held.match.sighting.lidar, error
+                shared[own] = shared[own] + column if own in shared else column
+        together = np.array(list(shared.values())).T
+        return np.asarray(covariance + together @ together.T)
 
     def map(self) -> Map:
         """Return the landmarks."""
         names = list(self.landmarks)
         if not names:
             return Map(())
-        joint = self.covariance(names)
+        joint = self.covariance_with_biases(names)
         landmarks = []
         for k, (name, known) in enumerate(self.landmarks.items()):
             block = joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
@@ -156,48 +236,75 @@ class IncrementalGraph:
         prior = gtsam.PriorFactorPose3(X(0), pose, gaussian(root_of(start.covariance, "start")))
         self._smoother.update([prior], values, stamps={X(0): stamp})
 
-    def add_pose(
-        self,
-        pose: int,
-        stamp: float,
-        initial: Floats | None,
-        odometry: Odometry | None,
-        matches: Sequence[tuple[Match, Floats, Summary]],
-    ) -> None:
-        """Add a pose, or more to the newest one: odometry that leads to it, and matches.
+    def begin(self, pose: int, stamp: float, odometry: Odometry) -> None:
+        """Begin a pose, its number following the one before, where odometry has it; stamp in seconds."""
+        self._flush()
+        T_world_lidar = self.T_world_lidar(odometry.i) @ odometry.T_i_j
+        self._pending = _Pending(pose, stamp, T_world_lidar, odometry)
+
+    def begin_at(self, pose: int, stamp: float, T_world_lidar: Floats) -> None:
+        """Begin a pose at (4, 4) that only its matches will link; stamp in seconds."""
+        self._flush()
+        self._pending = _Pending(pose, stamp, T_world_lidar, None)
+
+    def add_matches(self, matches: Sequence[tuple[Match, Floats, Summary]]) -> bool:
+        """Add matches of the newest pose, and the pose with them; say whether the graph bears them.
+
+        If it does not, the pose is there without them, unless nothing else links it.
 
         Args:
-            pose: its number.
-            stamp: seconds.
-            initial: (4, 4) T_world_lidar of a new pose; None: it is there already.
-            odometry: from the pose before; None: there is none, or it is there already.
-            matches: of the pose, each with T_target_lidar (4, 4) where it was summarised, and its summary there.
+            matches: each with T_target_lidar (4, 4) where it was summarised, and its summary there.
+        """
+        try:
+            self._update(matches)
+        except EstimationError:
+            if self._pending is not None and self._pending.odometry is None:
+                self._pending = None
+            self._flush()
+            return False
+        return True
+
+    def _flush(self) -> None:
+        """Put the newest pose into the smoother, if it is not there yet."""
+        if self._pending is not None and self._pending.odometry is not None:
+            self._update([])
+
+    def _update(self, matches: Sequence[tuple[Match, Floats, Summary]]) -> None:
+        """Put the newest pose, its odometry and matches into the smoother.
 
         Raises:
-            EstimationError: the graph does not bear it; nothing has changed then.
+            EstimationError: the graph does not bear them; nothing has changed then.
         """
+        pending = self._pending
+        if pending is None and not matches:
+            return
         factors: list[gtsam.NonlinearFactor] = [
-            summary.factor(self.landmarks[match.landmark].key, X(pose), self._loss) for match, _, summary in matches
+            summary.factor(self.landmarks[match.landmark].key, X(match.pose), self._loss)
+            for match, _, summary in matches
         ]
         finite = all(summary.is_finite for _, _, summary in matches)
-        values = gtsam.Values()
-        if initial is not None:
-            values.insert(X(pose), gtsam.Pose3(initial))
-        if odometry is not None:
-            motion, noise = gtsam.Pose3(odometry.T_i_j), gaussian(odometry.sqrt_information)
-            factors.append(gtsam.BetweenFactorPose3(X(odometry.i), X(odometry.j), motion, noise))
-        handles = self._smoother.update(factors, values, stamps={X(pose): stamp}, finite=finite)
-        if odometry is not None:
-            self.odometry.append(odometry)
+        values, stamps = gtsam.Values(), {}
+        if pending is not None:
+            values.insert(X(pending.pose), gtsam.Pose3(pending.T_world_lidar))
+            stamps[X(pending.pose)] = pending.stamp
+            if pending.odometry is not None:
+                i, j = X(pending.odometry.i), X(pending.odometry.j)
+                motion, noise = gtsam.Pose3(pending.odometry.T_i_j), gaussian(pending.odometry.sqrt_information)
+                factors.append(gtsam.BetweenFactorPose3(i, j, motion, noise))
+        handles = self._smoother.update(factors, values, stamps=stamps, finite=finite)
+        self._pending = None
+        if pending is not None and pending.odometry is not None:
+            self._odometry.append(pending.odometry)
         for (match, T, _), handle in zip(matches, handles, strict=False):
             self._held.append(_Held(match, T, handle))
             self.landmarks[match.landmark].observations += 1
         if self.lag is not None:
             self._held = [held for held in self._held if held.match.pose in self]
-            self.odometry.clear()
+            self._odometry.clear()
 
     def add_landmark(self, name: str, target: Target, T_world_target: Floats, matches: Sequence[Match]) -> bool:
         """Add a landmark at T_world_target (4, 4) with its matches; say whether the graph bears it."""
+        self._flush()
         entry = self._begin(name, target)
         T_target_lidar = [inverse(T_world_target) @ self.T_world_lidar(match.pose) for match in matches]
         values = gtsam.Values()
@@ -221,18 +328,26 @@ class IncrementalGraph:
     # ---- up to date --------------------------------------------------------------------------------------------------
 
     def look_again(self) -> None:
-        """Make stale summaries again, of the newest matches and of some others in turn."""
+        """Make stale summaries again, of the newest matches and of some others in turn.
+
+        Those that the graph does not bear as they would be stay as they are.
+        """
+        self._flush()
         n = len(self._held)
         if n:
             self._turn = (self._turn + CHECKED_OLD) % n
             in_turn = ((self._turn + k) % n for k in range(min(CHECKED_OLD, n)))
-            self._resummarise([self._held[k] for k in {*range(max(0, n - CHECKED_NEW), n), *in_turn}])
+            with suppress(EstimationError):
+                self._resummarise([self._held[k] for k in {*range(max(0, n - CHECKED_NEW), n), *in_turn}])
 
     def settle(self) -> None:
-        """Make stale summaries again until there are none."""
-        for _ in range(SETTLING):
-            if not self._held or not self._resummarise(self._held):
-                break
+        """Make stale summaries again until there are none, and linearise everything where it is."""
+        self._flush()
+        with suppress(EstimationError):  # the graph does not bear it: it stays as it is
+            for _ in range(SETTLING):
+                if not (self._held and self._resummarise(self._held)):
+                    break
+            self._smoother.update([], gtsam.Values(), force=True)
 
     def _resummarise(self, held: Sequence[_Held]) -> int:
         """Make those summaries again whose target has turned since; return how many."""
@@ -243,7 +358,8 @@ class IncrementalGraph:
         if len(stale):
             again = [held[int(k)] for k in stale]
             factors = self._factors([h.match for h in again], list(now[stale]))
-            handles = self._smoother.update(factors, gtsam.Values(), [h.handle for h in again])
+            everything = len(held) == len(self._held)
+            handles = self._smoother.update(factors, gtsam.Values(), [h.handle for h in again], force=everything)
             for h, T, handle in zip(again, now[stale], handles, strict=True):
                 h.T_target_lidar, h.handle = T, handle
         return len(stale)

@@ -56,12 +56,19 @@ class Keyframe(NamedTuple):
         scan: as recorded.
         sweep: motion of the LiDAR about it; None: no odometry.
         distance: metres gone since the keyframe before.
+        linked: whether that motion leads from keyframe to keyframe, and not within the scan only.
     """
 
     stamp: float
     scan: Scan
     sweep: Sweep | None
     distance: float
+    linked: bool = True
+
+    @property
+    def T_odometry_lidar(self) -> Floats | None:
+        """(4, 4) at the stamp; None: no odometry."""
+        return self.sweep.T_odometry_lidar if self.sweep is not None and self.linked else None
 
 
 @dataclass
@@ -88,12 +95,23 @@ class Progress:
 
 
 def keyframes(
-    scans: Iterable[Stamped[Scan]], odometry: OdometryTrack | None, policy: KeyframePolicy, progress: Progress
+    scans: Iterable[Stamped[Scan]],
+    odometry: OdometryTrack | None,
+    policy: KeyframePolicy,
+    progress: Progress,
+    unknown: Sweep | None = None,
 ) -> Iterator[Keyframe]:
     """Choose keyframes of a stream of scans.
 
     Without odometry every scan that the policy's time allows is one. A scan before the odometry begins or after it
     ends is skipped and counted.
+
+    Args:
+        scans: in order of time.
+        odometry: of the LiDAR; None: there is none.
+        policy: which scans are used.
+        progress: counts what happens.
+        unknown: the motion within each scan where there is no odometry; None: the LiDAR is at rest.
 
     Raises:
         InputError: the first scan has no rings: no target would be found.
@@ -113,7 +131,7 @@ def keyframes(
             if last is None or not np.isfinite(policy.seconds) or stamp - last[0] >= policy.seconds:
                 last = stamp, np.eye(4)
                 progress.keyframes += 1
-                yield Keyframe(stamp, scan, None, 0.0)
+                yield Keyframe(stamp, scan, unknown, 0.0, linked=False)
             continue
         sweep = odometry.sweep(stamp, *_spread(scan))
         if sweep is None:

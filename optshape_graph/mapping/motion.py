@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import is_
 
 import gtsam
 import numpy as np
@@ -274,7 +275,7 @@ def solve_motion(
             measurement.with_twist(twist_between(motion, measurement.end - measurement.start), stale)
             for measurement, motion in zip(term.measurements, term.motions(State.of(values)), strict=True)
         )
-        if solution is not None and again == term.measurements:  # the very same
+        if solution is not None and all(map(is_, again, term.measurements)):
             return solution
         term = replace(term, measurements=again)
         solution = solve(values, [term], others)

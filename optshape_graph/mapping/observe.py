@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import suppress
 from functools import partial
-from multiprocessing import get_context
 from typing import NamedTuple
 
 import numpy as np
@@ -14,12 +11,15 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.io.records import from_record, to_record
 from optshape_graph.mapping.keyframes import HALF_REVOLUTION, Keyframe
 from optshape_graph.mapping.motion import deskew, estimate_moving
 from optshape_graph.mapping.shapes import shape_measurement
 from optshape_graph.mapping.sweep import Sweep
 from optshape_graph.mapping.track import Sighting
 from optshape_graph.pose import PoseEstimate
+from optshape_graph.runs.journal import Journal
+from optshape_graph.runs.workers import Lost, Pool
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
@@ -30,9 +30,6 @@ OFF_ITS_RING = 0.25
 """Share of the gap between rings by which deskewing may lift returns off their elevation: with less the estimate is the
 same to a fraction of its standard deviation (0.15, root mean square); with more it takes one at the target's own time,
 in whose frame rings are where they were fired."""
-
-AHEAD = 2
-"""Scans that each worker has waiting: more would only take memory."""
 
 
 class Observed(NamedTuple):
@@ -67,7 +64,7 @@ def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: 
         biases: whether to keep what tells the biases of the LiDAR's rings: a few kilobytes for each sighting.
     """
     scan, sweep = keyframe.scan, keyframe.sweep
-    T_odometry_lidar = None if sweep is None else sweep.T_odometry_lidar
+    T_odometry_lidar = keyframe.T_odometry_lidar
     moving = sweep is not None and scan.time is not None and bool((np.abs(sweep.twist) > SLOW).any())
     straight = deskew(scan, sweep) if sweep is not None and moving else scan
     try:
@@ -136,34 +133,74 @@ def observe_all(
     targets: Sequence[Target],
     named: bool,
     shapes: bool,
-    workers: int = 1,
+    pool: Pool | None = None,
     biases: bool = True,
+    journal: Journal | None = None,
 ) -> Iterator[Observed]:
-    """Observe keyframes in their order, with several processes, a few scans ahead: memory does not grow."""
+    """Observe keyframes, and yield them in their order; a few scans ahead of it, so that memory does not grow.
+
+    Args:
+        frames: the keyframes.
+        targets: to look for.
+        named: whether there is one of each template, so that the template is the landmark's name.
+        shapes: whether to keep what refines the vertices.
+        pool: what runs it; None: this process.
+        biases: whether to keep what tells the biases of the LiDAR's rings.
+        journal: of what was seen in a run that was stopped, and in this one; None: nothing is kept.
+
+    Raises:
+        InputError: the journal is of another recording.
+    """
     work = partial(observe, targets=tuple(targets), named=named, shapes=shapes, biases=biases)
-    if workers == 1:
-        yield from map(work, frames)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
-        waiting: list[Future[Observed]] = []
-        try:
-            for frame in frames:
-                waiting.append(pool.submit(work, frame))
-                if len(waiting) >= AHEAD * workers:
-                    yield waiting.pop(0).result()
-            while waiting:
-                yield waiting.pop(0).result()
-        finally:
-            for future in waiting:
-                future.cancel()
+    given: dict[int, Keyframe] = {}  # those that are with a worker, or kept and not yielded yet
+
+    def new() -> Iterator[tuple[int, Keyframe]]:
+        for number, frame in enumerate(frames):
+            if journal is None or number not in journal:
+                given[number] = frame._replace(scan=_NO_SCAN)  # what a lost one needs
+                yield number, frame
+            else:
+                kept[number] = frame.stamp
+
+    kept: dict[int, float] = {}
+    waiting: dict[int, Observed] = {}
+    next_number = 0
+
+    def in_turn() -> Iterator[Observed]:
+        nonlocal next_number
+        while next_number in waiting or next_number in kept:
+            if next_number in waiting:
+                yield waiting.pop(next_number)
+            else:
+                assert journal is not None
+                yield _restored(journal, next_number, kept.pop(next_number))
+            next_number += 1
+
+    for number, seen in (pool or Pool()).run(work, new()):
+        frame = given.pop(number)
+        if isinstance(seen, Lost):
+            T = None if frame.sweep is None else frame.sweep.T_odometry_lidar
+            seen = Observed(frame.stamp, T, frame.distance, (), seen.reason)
+        if journal is not None:
+            journal.add(number, {"seen": to_record(seen)})
+        waiting[number] = seen
+        yield from in_turn()
+    yield from in_turn()
 
 
-def _one_thread() -> None:
-    """Keep the processes from competing for cores with threads of their own, where that can be told."""
-    with suppress(ImportError):
-        from threadpoolctl import threadpool_limits
+_NO_SCAN = Scan(np.zeros((0, 3)))
 
-        threadpool_limits(1)
+
+def _restored(journal: Journal, number: int, stamp: float) -> Observed:
+    """What was seen at a keyframe in a run that was stopped."""
+    seen = from_record(Observed, journal[number].get("seen"), f"{journal.path}: keyframe {number}")
+    assert isinstance(seen, Observed)
+    if seen.stamp != stamp:
+        raise InputError(
+            f"{journal.path}: keyframe {number} is at {seen.stamp} s, in the recording at {stamp} s: the file is of "
+            "another run; remove it"
+        )
+    return seen
 
 
 def _reason(error: Exception) -> str:

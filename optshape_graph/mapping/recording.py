@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from optshape_graph._arrays import Floats
-from optshape_graph.errors import InputError
-from optshape_graph.io.recordings import Recording, Skipped, Stamped
+from optshape_graph.errors import InputError, MissingExtraError
+from optshape_graph.io.recordings import Recording, Skipped, Stamped, Stream
 from optshape_graph.io.recordings.topics import Mounting
 from optshape_graph.io.sessions import Session, load_session
-from optshape_graph.io.trajectories import Trajectory, read_tum
+from optshape_graph.io.trajectories import Trajectory, is_trajectory, read_trajectory
 from optshape_graph.mapping.batch import solve_batch
 from optshape_graph.mapping.batch_solution import BatchSolution
 from optshape_graph.mapping.incremental import LandmarkSlam
@@ -20,7 +20,10 @@ from optshape_graph.mapping.keyframes import NO_ODOMETRY, Keyframe, KeyframePoli
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.observe import Observed, observe, observe_all
 from optshape_graph.mapping.odometry import OdometryTrack
-from optshape_graph.mapping.sweep import MotionNoise
+from optshape_graph.mapping.registration import NOISE, UNKNOWN, moves, scan_odometry
+from optshape_graph.mapping.sweep import MotionNoise, Sweep
+from optshape_graph.runs.journal import Journal
+from optshape_graph.runs.workers import Pool
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import PoseLike, as_transform, inverse
 from optshape_graph.sensor import SensorModel
@@ -69,6 +72,9 @@ class MapResult:
         state = "" if not self.problems else f", {len(self.problems)} problems"
         return f"MapResult({len(self.map.landmarks)} landmarks, {len(self.trajectory)} poses{state})"
 
+    def _repr_html_(self) -> str:
+        return self.map._repr_html_()
+
     @property
     def trajectory(self) -> Trajectory:
         """T_world_lidar over time."""
@@ -106,7 +112,8 @@ def map_recording(
     lag: float | None = None,
     batch: bool = True,
     as_built_sigma: float | None = None,
-    workers: int | None = None,
+    pool: Pool | None = None,
+    journal: Journal | None = None,
     report: Callable[[Progress], None] | None = None,
 ) -> MapResult:
     """Map the targets that a recording saw, and where it saw them from.
@@ -133,7 +140,8 @@ def map_recording(
         batch: solve for everything at once at the end.
         as_built_sigma: standard deviation to which the targets were built, metres: refines their vertices; None:
             templates are exact.
-        workers: processes that detect targets; None: one for each core, for recordings of many scans.
+        pool: what detects targets; None: a process for each core, for recordings of many scans.
+        journal: keeps what is seen, so that a run that was stopped goes on where it was; None: nothing is kept.
         report: called after every keyframe.
 
     Raises:
@@ -143,19 +151,23 @@ def map_recording(
     if as_built_sigma is not None and (lag is not None or not batch):
         raise InputError("as-built vertices need the batch solution, so no lag, and a batch")
     source = _opened(recording, [targets] if isinstance(targets, Target) else list(targets), sensor, scans, odometry)
-    track = _track(source, mounting, noise or MotionNoise(), clock_offset)
+    track, unknown = _track(source, mounting, noise, clock_offset)
+    noise = MotionNoise() if track is None else track.noise
     progress = Progress(expected=source.expected)
     slam = LandmarkSlam(known, lag=lag, confirmations=confirmations or (1 if track is None else 2), name=source.name)
     seen = observe_all(
-        keyframes(source.scans, track, keyframe or KeyframePolicy(), progress),
+        keyframes(source.scans, track, keyframe or KeyframePolicy(), progress, unknown),
         source.targets,
         one_each,
         as_built_sigma is not None,
-        _processes(source.expected) if workers is None else workers,
+        pool or Pool(_processes(source.expected)),
         biases=batch and lag is None,
+        journal=journal,
     )
-    build_map(slam, seen, noise or MotionNoise(), progress, report)
+    build_map(slam, seen, noise, progress, report)
     slam.settle()
+    if isinstance(source.poses, Stream) and source.poses.skipped:
+        source.warnings.append(f"odometry: messages passed over: {source.poses.skipped}")
     result, solution = slam.map(), None
     if batch and lag is None and result.landmarks:
         solution = solve_batch(slam.problem(), as_built_sigma=as_built_sigma)
@@ -216,14 +228,14 @@ def _opened(
     """Open a recording or a session, with its odometry."""
     if isinstance(recording, str | Path) and Path(recording).suffix.lower() in (".yaml", ".yml", ".json"):
         recording = load_session(recording)
-    if isinstance(odometry, str | Path) and Path(odometry).suffix == ".tum":
-        odometry = read_tum(odometry)
+    if isinstance(odometry, str | Path) and is_trajectory(odometry):
+        odometry = read_trajectory(odometry)
     poses = _stamped(odometry) if isinstance(odometry, Trajectory) else None
     if isinstance(recording, Session):
         if targets or sensor or scans:
             raise InputError(f"{recording.path}: a session names its own targets, sensor and scans")
         if odometry not in (None, "none") and poses is None:
-            raise InputError(f"{recording.path}: a session has no topic '{odometry}'; odometry comes from a .tum file")
+            raise InputError(f"{recording.path}: a session has no topic '{odometry}'; odometry comes from a file")
         missed = Skipped()
         return _Source(
             recording.path.stem, session_scans(recording, missed), len(recording.views), lambda: missed,
@@ -247,14 +259,12 @@ def _stamped(trajectory: Trajectory) -> list[Stamped[Floats]]:
     return [Stamped(float(stamp), T) for stamp, T in zip(trajectory.stamps, trajectory.poses, strict=True)]
 
 
-def _track(source: _Source, mounting: PoseLike | None, noise: MotionNoise, clock_offset: float) -> OdometryTrack | None:
-    """The odometry of a source, if there is any; warns of what is taken for granted."""
+def _track(
+    source: _Source, mounting: PoseLike | None, noise: MotionNoise | None, clock_offset: float
+) -> tuple[OdometryTrack | None, Sweep | None]:
+    """The odometry of a source, if there is any, else the motion within a scan; warns of what is taken for granted."""
     if source.poses is None:
-        source.warnings.append(
-            "no odometry: every scan is taken for one made at rest; if the LiDAR moved, targets are off by what it "
-            "moves within a revolution"
-        )
-        return None
+        return _unknown(source, noise)
     T_body_lidar = None if mounting is None else as_transform(mounting, "mounting")
     found, source.mounting = source.mounting, None if mounting is not None else source.mounting
     if mounting is None and found is not None:
@@ -267,7 +277,24 @@ def _track(source: _Source, mounting: PoseLike | None, noise: MotionNoise, clock
     poses = source.poses
     if clock_offset:
         poses = (Stamped(pose.stamp + clock_offset, pose.value) for pose in poses)
-    return OdometryTrack(poses, T_body_lidar, noise)
+    return OdometryTrack(poses, T_body_lidar, noise or MotionNoise()), None
+
+
+def _unknown(source: _Source, noise: MotionNoise | None) -> tuple[OdometryTrack | None, Sweep | None]:
+    """What stands for odometry where there is none: scans of a LiDAR that moves tell its motion themselves."""
+    if not isinstance(source.scans, Stream) or not moves(source.scans):
+        source.warnings.append("no odometry: every scan is taken for one made at rest")
+        return None, None
+    try:
+        poses = list(scan_odometry(source.scans))
+    except MissingExtraError as error:
+        source.warnings.append(
+            "no odometry, and the LiDAR moves: targets are off by what it moves within a revolution, which their "
+            f"covariances say. To have its motion from the scans: {error}"
+        )
+        return None, UNKNOWN
+    source.warnings.append("no odometry: the LiDAR's motion is taken from the scans, by KISS-ICP")
+    return OdometryTrack(poses, None, noise or NOISE), None
 
 
 def _problems(result: Map, source: _Source, track: OdometryTrack | None, progress: Progress) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from optshape_graph.factors._rows import gaussian, marginalised
 from optshape_graph.graph import Chains, State, add_rows
 from optshape_graph.mapping.batch_solution import Keys
 from optshape_graph.mapping.smoother import sqrt_information
-from optshape_graph.mapping.track import MappingProblem, Match, Sighting
+from optshape_graph.mapping.track import MappingProblem, Sighting
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.pose.azimuth_grid import level_rings
 from optshape_graph.pose.noise import returns_on_plane
@@ -62,7 +62,8 @@ class AsBuilt(Value):
         sigma: of the template's prior, metres.
         targets: template of each landmark that is refined.
         shapes: key of its vertices, a vector variable (y, z of each).
-        matches: those matches.
+        numbers: of those matches among all of the problem.
+        landmarks: whose vertices each is of.
         measurements: of each, edges in the landmark's own numbering.
         chains: of T_target_lidar.
     """
@@ -70,23 +71,27 @@ class AsBuilt(Value):
     sigma: float
     targets: Mapping[str, Target]
     shapes: Mapping[str, int]
-    matches: tuple[Match, ...]
+    numbers: tuple[int, ...]
+    landmarks: tuple[str, ...]
     measurements: tuple[ShapeMeasurement, ...]
     chains: Chains
 
     @classmethod
     def of(cls, problem: MappingProblem, keys: Keys, sigma: float | None) -> AsBuilt:
         """Collect what there is; with sigma (metres) None, nothing."""
-        shapes = [(t, m, _in_landmark(m.sighting, m.hypothesis)) for t, m in problem.matches if sigma is not None]
-        found = [(t, match, shape) for t, match, shape in shapes if shape is not None]
-        names = dict.fromkeys(match.landmark for _, match, _ in found)
+        matches = enumerate(problem.matches) if sigma is not None else ()
+        shapes = [(k, t, match, _in_landmark(match.sighting, match.hypothesis)) for k, (t, match) in matches]
+        found = [(k, t, match, shape) for k, t, match, shape in shapes if shape is not None]
+        landmarks = tuple(match.landmark for _, _, match, _ in found)
+        names = dict.fromkeys(landmarks)
         return cls(
             sigma or 0.0,
             {name: problem.targets[name] for name in names},
             {name: keys.shapes[name] for name in names},
-            tuple(match for _, match, _ in found),
+            tuple(k for k, *_ in found),
+            landmarks,
             tuple(shape for *_, shape in found),
-            Chains([keys.chain(t, match) for t, match, _ in found]),
+            Chains([keys.chain(t, match) for _, t, match, _ in found]),
         )
 
     def insert(self, values: gtsam.Values) -> None:
@@ -105,8 +110,8 @@ class AsBuilt(Value):
     def at(self, state: State) -> AsBuiltModel:
         """Return the residuals and derivatives of every match at a state."""
         residuals, by_pose, by_shape = [], [], []
-        for match, measurement, H in zip(self.matches, self.measurements, self.chains.at(state), strict=True):
-            yz = state.values.atVector(self.shapes[match.landmark]).reshape(-1, 2)
+        for landmark, measurement, H in zip(self.landmarks, self.measurements, self.chains.at(state), strict=True):
+            yz = state.values.atVector(self.shapes[landmark]).reshape(-1, 2)
             vertices = np.column_stack([np.zeros(len(yz)), yz])
             by_H, by_vertex = measurement.jacobians(H, vertices)
             residuals.append(measurement.residual(H, vertices))
@@ -159,9 +164,9 @@ class AsBuiltModel(Value):
     def add_to(self, linear: gtsam.GaussianFactorGraph) -> None:
         """Add the linearisation to a graph."""
         term = self.term
-        moves = term.chains.derivatives(np.broadcast_to(np.eye(6), (len(term.matches), 6, 6)), self.state)
-        for n, match in enumerate(term.matches):
-            keys = [*term.chains.keys[n], term.shapes[match.landmark]]
+        moves = term.chains.derivatives(np.broadcast_to(np.eye(6), (len(term.landmarks), 6, 6)), self.state)
+        for n, landmark in enumerate(term.landmarks):
+            keys = [*term.chains.keys[n], term.shapes[landmark]]
             add_rows(linear, keys, [*(self.by_pose[n] @ D for D in moves[n]), self.by_shape[n]], -self.residuals[n])
 
 

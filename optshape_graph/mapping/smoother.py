@@ -19,9 +19,16 @@ import numpy as np
 from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors._rows import gaussian
+from optshape_graph.graph.linear import LinearSystem
 
 RELINEARISE = 0.005
 """Step, metres or rad, beyond which a variable is linearised again."""
+
+RELINEARISE_EVERY = 10
+"""Updates between looks at what is to be linearised again: after a loop was closed, a look costs as much as a batch."""
+
+DETERMINED = 1e-7
+"""Ratio of the least to the largest singular value of the factors of a new variable, below which they leave it open."""
 
 
 class Smoother:
@@ -34,7 +41,7 @@ class Smoother:
 
     def __init__(self, lag: float | None = None) -> None:
         self.lag = lag
-        self._isam = _new_isam()
+        self._isam = _new_isam(lag)
         self._factors: dict[int, gtsam.NonlinearFactor] = {}  # by handle, which outlives ISAM2's slots
         self._slots: dict[int, int] = {}
         self._handles = itertools.count()
@@ -50,6 +57,7 @@ class Smoother:
         remove: Iterable[int] = (),
         stamps: Mapping[int, float] | None = None,
         finite: bool = False,
+        force: bool = False,
     ) -> list[int]:
         """Add factors and variables, remove factors, and improve the estimate by one step.
 
@@ -59,6 +67,7 @@ class Smoother:
             remove: handles of factors to remove; those that a lag has marginalised are gone, and ignored.
             stamps: seconds, of the variables that the lag marginalises; the others stay for ever.
             finite: the factors are known to be finite, and their variables to be there: they are not looked at.
+            force: linearise again now what has moved.
 
         Returns:
             A handle for each new factor.
@@ -73,7 +82,8 @@ class Smoother:
             self._check(graph, values)
         removed = [handle for handle in remove if handle in self._factors]
         try:
-            result = self._isam.update(graph, values, [self._slots[handle] for handle in removed])
+            slots = [self._slots[handle] for handle in removed]
+            result = self._isam.update(graph, values, slots, force_relinearize=force)
         except RuntimeError as error:
             self._restore(values)
             raise EstimationError(f"the factors do not determine the variables: {error}") from error
@@ -92,6 +102,13 @@ class Smoother:
     def values(self) -> gtsam.Values:
         """Return the estimates of all variables that are left."""
         return gtsam.Values(self._isam.calculateBestEstimate())
+
+    def system(self) -> LinearSystem:
+        """Return all factors, linearised at the estimate, as matrices."""
+        graph, values = gtsam.NonlinearFactorGraph(), self.values()
+        for factor in self._factors.values():
+            graph.push_back(factor)
+        return LinearSystem.of(graph.linearize(values), values)
 
     def covariance(self, keys: Sequence[int]) -> Floats:
         """Return the joint covariance (d, d) of variables, in their order; of poses rotation (rad) first."""
@@ -112,9 +129,18 @@ class Smoother:
                 if key not in self:
                     raise EstimationError(f"no initial value for variable {gtsam.DefaultKeyFormatter(key)}")
                 touched.insert(key, self._isam.calculateEstimatePose3(key))
-        # Sparse entries leave out what is not finite; the gradient does not.
-        if graph.size() and not np.isfinite(graph.linearize(touched).gradientAtZero().norm()):
-            raise EstimationError("a new factor's residual or Jacobian is not finite")
+        if not graph.size():
+            return
+        try:
+            system = LinearSystem.of(graph.linearize(touched), touched)
+        except EstimationError as error:
+            raise EstimationError("a new factor's residual or Jacobian is not finite") from error
+        # QR takes what is singular without a word.
+        for key in values.keys():  # noqa: SIM118 - not a mapping
+            rows = system.A[:, system.columns[key]].toarray()
+            if np.linalg.matrix_rank(rows, rtol=DETERMINED) < rows.shape[1]:
+                name = gtsam.DefaultKeyFormatter(key)
+                raise EstimationError(f"the factors do not determine the variables: {name} is left open")
 
     def _restore(self, failed: gtsam.Values) -> None:
         """Make the smoother again from the factors it held, without the variables of a failed update."""
@@ -125,7 +151,7 @@ class Smoother:
         graph = gtsam.NonlinearFactorGraph()
         for factor in self._factors.values():
             graph.push_back(factor)
-        self._isam = _new_isam()
+        self._isam = _new_isam(self.lag)
         result = self._isam.update(graph, values)
         self._slots = dict(zip(self._factors, result.getNewFactorsIndices(), strict=True))
 
@@ -151,10 +177,11 @@ class Smoother:
         self._hold([held.at(slot) for slot in added], added)
 
 
-def _new_isam() -> gtsam.ISAM2:
+def _new_isam(lag: float | None) -> gtsam.ISAM2:
     parameters = gtsam.ISAM2Params()
     parameters.setRelinearizeThreshold(RELINEARISE)
-    parameters.relinearizeSkip = 1
+    parameters.relinearizeSkip = RELINEARISE_EVERY if lag is None else 1  # what is marginalised stays as it was
+    parameters.setFactorization("QR")  # squares of long open drives have lost the digits that Cholesky needs
     return gtsam.ISAM2(parameters)
 
 

@@ -11,18 +11,21 @@ import numpy as np
 from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors import (
-    RANGE_BIAS,
     BiasedMeasurement,
     ShapeMeasurement,
     Summary,
     TemplateMeasurement,
     summarise,
 )
+from optshape_graph.factors.static import ELEVATION, RANGE_BIAS
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
-from optshape_graph.pose import PoseEstimate
-from optshape_graph.se3 import as_transform, inverse
+from optshape_graph.pose import PoseEstimate, PoseOptions
+from optshape_graph.se3 import PoseLike, as_transform, inverse
 from optshape_graph.target import Target
+
+OF_RINGS = (RANGE_BIAS, ELEVATION)
+"""Kinds of errors that the rings of a LiDAR keep from scan to scan."""
 
 LOOSEST = 10.0
 """Standard deviation, rad or metres, beyond which a measurement does not determine a pose."""
@@ -66,7 +69,7 @@ class Sighting(Value):
         *,
         biases: bool = True,
     ) -> Sighting:
-        """Return the sighting that a pose estimate makes; of an ambiguous one, both of its poses.
+        """Return the sighting that a pose estimate makes; where another pose is not ruled out, both.
 
         Of the other pose only the pose is known: its measurement is taken to be that of the best one, moved there.
 
@@ -84,7 +87,7 @@ class Sighting(Value):
         best = estimate.measurement
         measurements: tuple[TemplateMeasurement, ...] = (best,)
         other = estimate.ambiguity.T_lidar_target
-        if estimate.status != "ok" and other is not None:
+        if other is not None and estimate.ambiguity.margin < PoseOptions.ambiguity_margin:
             measurements = (best, best.substituted(best.T_target_lidar @ other))
         return cls(estimate.target, measurements, landmark, shape, _biased(estimate) if biases else None)
 
@@ -111,6 +114,15 @@ class Sighting(Value):
         measurements = tuple(m.substituted(np.eye(4), T_lidar_then) for m in self.measurements)
         biased = None if self.biased is None else self.biased.substituted(np.eye(4), T_lidar_then)
         return replace(self, measurements=measurements, shape=shape, biased=biased)
+
+    def on_body(self, T_body_lidar: PoseLike, lidar: str) -> Sighting:
+        """Return the sighting as one from a robot's body, of which poses and odometry are then, with several LiDARs.
+
+        Args:
+            T_body_lidar: (4, 4) of the LiDAR on the body.
+            lidar: its name: each LiDAR's rings have biases of their own.
+        """
+        return replace(self.moved(as_transform(T_body_lidar, "T_body_lidar")), lidar=lidar)
 
     @cached_property
     def hypotheses(self) -> tuple[TemplateMeasurement, ...]:
@@ -264,13 +276,15 @@ class MappingProblem(Value):
 
 
 def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
-    """What the estimate's returns say before ring biases are marginalised; the offset at edges is of one scan.
+    """What the estimate's returns say before errors that the LiDAR's rings keep are marginalised.
 
-    It is as wide as the measurement, which is wider where associations disagree.
+    Others are of one scan: where the target ends between two rings, and how far in the returns at edges lie. It is as
+    wide as the measurement, which is wider where associations disagree, and takes elevations to be exact.
     """
     if estimate.shared is None:
         return None
-    biased = estimate.shared.without([e for e in estimate.shared.shared if e.kind != RANGE_BIAS or e.ring is None])
-    own = np.trace(biased.marginal(1.0).information(estimate.T_target_lidar))
+    biased = estimate.shared.without([e for e in estimate.shared.shared if e.kind not in OF_RINGS or e.ring is None])
+    alone = biased.marginal([float(error.kind != ELEVATION) for error in biased.shared])
+    own = np.trace(alone.information(estimate.T_target_lidar))
     scale = float(np.sqrt(np.trace(estimate.measurement.information()) / own))
     return replace(biased, stack=biased.stack * min(scale, 1.0))

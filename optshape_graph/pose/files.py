@@ -27,6 +27,7 @@ class EstimateFile:
         sensor: that made the scans; None: unknown.
         method: of `estimate_pose`.
         backend: of `estimate_pose`.
+        columns: names of the clouds' columns that have none, in order; None: they name their own.
         then: called with path, scan and estimate, to draw them, and returns the pictures; None: nothing is drawn.
     """
 
@@ -34,11 +35,12 @@ class EstimateFile:
     sensor: SensorModel | None = None
     method: Method = "global"
     backend: Backend = "closed-form"
+    columns: tuple[str, ...] | None = None
     then: Callable[[str, Scan, PoseEstimate], Sequence[Path]] | None = None
 
     def __call__(self, path: str) -> Outcome:
         try:
-            scan = read_scan(path, self.sensor)
+            scan = read_scan(path, self.sensor, self.columns)
             estimate = estimate_pose(scan, self.target, self.method, self.backend)
         except InputError as error:
             return Outcome(UNREADABLE, (str(error),), failed_entry(path, self.target.name, str(error)))
@@ -61,5 +63,5 @@ class EstimateFile:
         """Return what decides the results, as plain data."""
         return {
             "target": to_record(self.target), "sensor": to_record(self.sensor), "method": self.method,
-            "backend": self.backend,
+            "backend": self.backend, "columns": self.columns and list(self.columns),
         }  # fmt: skip

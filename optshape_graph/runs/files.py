@@ -88,19 +88,13 @@ def run_files(
     """
     what = {"form": form, "version": optshape_graph.__version__, **describe, "files": fingerprint(paths)}
     journal_path = None if output is None else journal_of(output)
-    with Journal(journal_path, what, len(paths)) as journal:
+    with Journal(journal_path, what, len(paths)) as journal, going_on(lambda: _advice(journal)):
         if progress is not None:
             progress(journal.finished, len(paths))
-        try:
-            for number, line in (pool or Pool()).run(_Kept(function), ((n, paths[n]) for n in journal.todo())):
-                journal.add(number, _line(failed(paths[number], line.reason), "") if isinstance(line, Lost) else line)
-                if progress is not None:
-                    progress(journal.finished, len(paths))
-        except BaseException as error:
-            kept = f"{journal.finished} of {len(paths)} files are done"
-            kept += f" and kept in {journal_path}; the same command goes on there" if journal_path else ", none is kept"
-            with going_on(f"{kept}{'' if journal_path else ' without --json'}"):
-                raise error
+        for number, line in (pool or Pool()).run(_Kept(function), ((n, paths[n]) for n in journal.todo())):
+            journal.add(number, _line(failed(paths[number], line.reason), "") if isinstance(line, Lost) else line)
+            if progress is not None:
+                progress(journal.finished, len(paths))
         first = next((line for line in journal if line["status"] != UNREADABLE), None)
         if first is None and len(paths):
             reason = journal[0]["reasons"][0]
@@ -110,6 +104,14 @@ def run_files(
             write_entries(output, f"optshape/{form}/1", (line["entry"] for line in journal))
         yield journal
         journal.remove()
+
+
+def _advice(journal: Journal) -> str:
+    """What is kept of a run that was stopped."""
+    done = f"{journal.finished} of {journal.count} files are done"
+    if journal.path is None:
+        return f"{done}, none is kept without --json"
+    return f"{done} and kept in {journal.path}; the same command goes on there"
 
 
 def write_entries(path: Path, schema: str, entries: Iterator[str]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -34,6 +34,8 @@ class Stopped(BaseException):
 
 def stop_on_signals() -> None:
     """Raise `Stopped` in the main thread at the first signal; end the process soon after, and at the second at once."""
+    if threading.current_thread() is not threading.main_thread():
+        return  # only the main thread can have handlers: whoever runs this in another has their own
     seen: list[int] = []
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -51,14 +53,14 @@ def stop_on_signals() -> None:
 
 
 @contextmanager
-def going_on(advice: str) -> Iterator[None]:
+def going_on(advice: Callable[[], str]) -> Iterator[None]:
     """Add to a `Stopped` that passes what is kept, and how to go on.
 
     Args:
-        advice: a sentence.
+        advice: returns a sentence, when it is asked for.
     """
     try:
         yield
     except Stopped as stopped:
-        stopped.advice = stopped.advice or advice
+        stopped.advice = stopped.advice or advice()
         raise

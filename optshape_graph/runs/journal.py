@@ -14,6 +14,7 @@ import os
 import re
 from array import array
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -21,6 +22,8 @@ from optshape_graph.errors import InputError
 
 KIND = "journal of optshape_graph, 1"
 """What the first line says that the file is."""
+
+MOST_TASKS = 100_000_000
 
 _TASK = re.compile(rb'\{"task": (\d{1,12}),')
 
@@ -31,16 +34,17 @@ class Journal:
     Args:
         path: of the journal; None: it is forgotten when it is closed.
         describe: plain data that say what is run: a journal of another run is refused.
-        count: number of the tasks.
+        count: number of the tasks; None: it is not known before.
 
     Raises:
         InputError: the file holds another run, is in use, or cannot be written.
     """
 
-    def __init__(self, path: Path | None, describe: Mapping[str, Any], count: int) -> None:
-        self.path, self.count = path, count
+    def __init__(self, path: Path | None, describe: Mapping[str, Any], count: int | None) -> None:
+        self.path = path
         self.finished = 0
-        self._places = array("q", [-1]) * count
+        self._most = MOST_TASKS if count is None else count
+        self._places = array("q", [-1]) * (count or 0)
         self._file = _unnamed() if path is None else _locked(path)
         try:
             self._begin({"kind": KIND, "digest": digest({**describe, "tasks": count}), "tasks": count})
@@ -54,8 +58,13 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def count(self) -> int:
+        """Number of the tasks; where it was not known, of those up to the last that is finished."""
+        return len(self._places)
+
     def __contains__(self, task: int) -> bool:
-        return self._places[task] >= 0
+        return task < len(self._places) and self._places[task] >= 0
 
     def __getitem__(self, task: int) -> dict[str, Any]:
         self._file.seek(self._places[task])
@@ -84,16 +93,22 @@ class Journal:
         data = json.dumps({"task": task, **line}, allow_nan=False).encode() + b"\n"
         place = self._file.seek(0, os.SEEK_END)
         try:
-            written = self._file.write(data)
-            if written != len(data):
-                raise OSError(f"{written} of {len(data)} bytes were written")
+            left = memoryview(data)
+            while left:  # a disk that is nearly full takes a part first, and says why with the next
+                left = left[self._file.write(left) :]
         except OSError as error:
             self._file.truncate(place)
             raise InputError(
                 f"{self.path or 'temporary file'}: cannot be written ({error.strerror or error})"
             ) from error
+        self._note(task, place)
+
+    def _note(self, task: int, place: int) -> None:
+        """Remember where the line of a task stands."""
+        if task >= len(self._places):
+            self._places.extend([-1] * (task + 1 - len(self._places)))
+        self.finished += self._places[task] < 0
         self._places[task] = place
-        self.finished += 1
 
     def close(self) -> None:
         """Close the file, and let others have it."""
@@ -126,11 +141,9 @@ class Journal:
             match = _TASK.match(line)
             if not line.endswith(b"\n"):
                 break
-            if match is None or int(match[1]) >= self.count:
+            if match is None or int(match[1]) >= self._most:
                 raise InputError(f"{self.path}: not a line of a journal at byte {place}; remove the file to begin anew")
-            if self._places[int(match[1])] < 0:
-                self.finished += 1
-            self._places[int(match[1])] = place
+            self._note(int(match[1]), place)
             place += len(line)
         self._file.truncate(place)
 
@@ -147,6 +160,27 @@ class Journal:
 def journal_of(output: Path) -> Path:
     """Return the path of the journal of an output file: beside it."""
     return output.with_name(f"{output.name}.journal")
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a folder for one run, while the block runs.
+
+    Args:
+        folder: that the run writes to.
+
+    Raises:
+        InputError: another run holds it.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise InputError(f"{folder}: in use: another run writes to it") from error
+        yield
+    finally:
+        os.close(handle)
 
 
 def digest(describe: Mapping[str, Any]) -> str:

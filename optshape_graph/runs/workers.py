@@ -258,6 +258,7 @@ def _on_cluster(
         from distributed import Client, KilledWorker, Security, as_completed
     except ImportError as cause:
         raise missing_extra("distributed", "dask", cause) from cause
+    _check_reachable(address)
     security: dict[str, Any] = {}
     if tls is not None:
         authority, certificate, key = map(str, tls)
@@ -275,7 +276,7 @@ def _on_cluster(
         def submit() -> None:
             task = next(remaining, None)
             if task is not None:
-                future = client.submit(_OneThread(function), task[1], pure=False, retries=1)
+                future = client.submit(OneThread(function), task[1], pure=False, retries=1)
                 numbers[future.key] = task[0]
                 finished.add(future)  # type: ignore[no-untyped-call]
 
@@ -293,14 +294,40 @@ def _on_cluster(
                 yield number, future.result()
 
 
-class _OneThread(Generic[T, R]):
-    """A function on one thread of linear algebra: the sum of a product depends on how it is split."""
+def _check_reachable(address: str) -> None:
+    """Find out before a client is made, which waits and tries again, that nothing listens at an address.
+
+    Raises:
+        InputError: it is no address, or nothing listens there.
+    """
+    import re
+    import socket
+
+    found = re.fullmatch(r"(?:(?:tcp|tls)://)?(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]{1,253}):([0-9]{1,5})", address)
+    if found is None or int(found[2]) > 65535:
+        raise InputError(
+            f"expected the address of a scheduler, as tcp://HOST:PORT or tls://HOST:PORT; found '{address}'"
+        )
+    try:
+        socket.create_connection((found[1].strip("[]"), int(found[2])), SCHEDULER_TIMEOUT_S).close()
+    except (OSError, UnicodeError) as error:
+        raise InputError(f"no Dask scheduler answers at {address} ({error})") from error
+
+
+class OneThread(Generic[T, R]):
+    """A function on one thread of linear algebra: the sum of a product depends on how it is split.
+
+    Args:
+        function: of a task.
+    """
 
     def __init__(self, function: Callable[[T], R]) -> None:
         self.function = function
 
     def __call__(self, task: T) -> R:
-        from threadpoolctl import threadpool_limits
-
+        try:
+            from threadpoolctl import threadpool_limits
+        except ImportError:  # without the extra `evaluate`
+            return self.function(task)
         with threadpool_limits(1):
             return self.function(task)

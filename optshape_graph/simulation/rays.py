@@ -15,6 +15,9 @@ from optshape_graph.sensor import SensorModel
 Sphere = tuple[Floats, float]
 """(3,) centre and radius, metres."""
 
+MOST_RAYS = 20_000_000
+"""Of one revolution: ten times those of the densest sensor there is."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EdgeMargin(Value):
@@ -95,11 +98,17 @@ class Revolution(Value):
             spin_rate: revolutions per second; sets the times.
 
         Raises:
-            InputError: the sensor's azimuth step is not known.
+            InputError: the sensor's azimuth step is not known, or so small that there are too many rays.
         """
         step = sensor.azimuth_step
         if step is None:
             raise InputError(f"sensor '{sensor.name}' has no azimuth step; simulation needs one (azimuth_step_deg)")
+        rays = 2 * np.pi / step * sensor.n_rings
+        if rays > MOST_RAYS:
+            raise InputError(
+                f"sensor '{sensor.name}': {rays:.3g} rays in a revolution of {sensor.n_rings} rings, "
+                f"{np.degrees(step):.3g} deg apart; at most {MOST_RAYS:.0e} are simulated"
+            )
         first = int(np.ceil(-np.pi / step - 1e-9))
         columns = step * np.arange(first, first + round(2 * np.pi / step), dtype=float) + phase
         return cls(sensor, columns, spin_rate)

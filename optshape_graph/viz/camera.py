@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.camera.calibrate import CameraCalibration
-from optshape_graph.calibration.camera.consistency import of_view
-from optshape_graph.calibration.camera.evidence import without_bias
+from optshape_graph.calibration.camera.consistency import of_view, pose_alone
+from optshape_graph.calibration.camera.result import CameraCalibration
 from optshape_graph.calibration.camera.sightings import TargetInScan
-from optshape_graph.calibration.images.projection import project
+from optshape_graph.calibration.images.projection import in_view, project
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.files import read_bytes, write_atomically
@@ -28,11 +27,8 @@ from optshape_graph.viz.style import BLUE, GREY, INK, VERMILLION, legend_below, 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LIDAR_COLOUR, CAMERA_COLOUR = (60, 60, 255), (255, 200, 0)
-"""Blue, green, red: the outline predicted from the LiDAR, and the camera's own."""
-
-WIDEST_ANGLE = np.radians(80.0)
-"""Returns further from the optical axis than this are not drawn: lens models are not calibrated there."""
+LIDAR_COLOUR, CAMERA_COLOUR, CORNER_COLOUR = (60, 60, 255), (255, 200, 0), (80, 220, 80)
+"""Blue, green, red: the outline predicted from the LiDAR, the camera's own, and the corners found in the image."""
 
 RANGES = (1.0, 30.0)
 """Ranges, metres, that the colours run over, yellow to violet, in equal ratios."""
@@ -79,7 +75,8 @@ def plot_view_errors(calibration: CameraCalibration) -> Figure:
 
 
 def draw_overlay(calibration: CameraCalibration, number: int) -> np.ndarray:
-    """Draw one view: the returns on the image, the outline by the LiDAR (red) and by the camera (light blue).
+    """Draw one view: the returns that the lens can see on the image, the outline by the LiDAR (red) and by the camera
+    (light blue), and the corners found (green crosses).
 
     Args:
         calibration: the result.
@@ -98,16 +95,15 @@ def draw_overlay(calibration: CameraCalibration, number: int) -> np.ndarray:
     picture = decode_image(read_bytes(view.image.image), view.image.image, channels=3)
     rig = calibration.rig
     camera = rig.cameras[camera_side.sensor]
-    _outline(picture, camera, view.target, camera_side.T_sensor_target, CAMERA_COLOUR)
-    caption = "camera's outline"
+    _outline(picture, camera, view.target, pose_alone(camera_side, rig), CAMERA_COLOUR)
+    caption = "camera's outline light blue, corners green"
     if lidar_side is not None and isinstance(lidar_side.seen, TargetInScan):
         T_camera_lidar = inverse(rig.T_base_sensor[camera_side.sensor]) @ rig.T_base_sensor[lidar_side.sensor]
-        bias = rig.range_bias.get(lidar_side.sensor, 0.0)
-        _returns(picture, camera, T_camera_lidar, without_bias(lidar_side.seen.all_returns, bias), 1)
-        _returns(picture, camera, T_camera_lidar, without_bias(lidar_side.seen.returns, bias), 2)
-        T_lidar_target = lidar_side.seen.pose(bias) @ inverse(lidar_side.S)
-        _outline(picture, camera, view.target, T_camera_lidar @ T_lidar_target, LIDAR_COLOUR)
-        caption = "LiDAR's outline red, camera's light blue"
+        _returns(picture, camera, T_camera_lidar, lidar_side.seen.all_returns, 1)
+        _returns(picture, camera, T_camera_lidar, lidar_side.seen.returns, 2)
+        _outline(picture, camera, view.target, T_camera_lidar @ pose_alone(lidar_side, rig), LIDAR_COLOUR)
+        caption = f"LiDAR's outline red, {caption}"
+    _corners(picture, view.image.points.pixels)
     _caption(picture, calibration, number, caption)
     return np.asarray(picture)
 
@@ -142,8 +138,8 @@ def _returns(
 ) -> None:
     cv2 = opencv()
     in_camera = apply(T_camera_lidar, points)
-    ahead = np.arctan2(np.linalg.norm(in_camera[:, :2], axis=1), in_camera[:, 2]) < WIDEST_ANGLE
-    in_camera, distance = in_camera[ahead], np.linalg.norm(points[ahead], axis=1)
+    seen = in_view(camera, in_camera)
+    in_camera, distance = in_camera[seen], np.linalg.norm(points[seen], axis=1)
     if not len(in_camera):
         return
     near, far = np.log(RANGES)
@@ -163,9 +159,15 @@ def _outline(
         -1, 3
     )
     in_camera = apply(T_camera_target, points)
-    if (in_camera[:, 2] > 0).all():
+    if in_view(camera, in_camera).all():
         pixels = np.round(16 * project(camera, in_camera)).astype(np.int32)
         cv2.polylines(picture, [pixels], True, colour, 2, cv2.LINE_AA, 4)
+
+
+def _corners(picture: np.ndarray, pixels: Floats) -> None:
+    cv2 = opencv()
+    for u, v in np.round(pixels).astype(int).tolist():
+        cv2.drawMarker(picture, (u, v), CORNER_COLOUR, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
 
 
 def _caption(picture: np.ndarray, calibration: CameraCalibration, number: int, text: str) -> None:

@@ -6,7 +6,7 @@ import base64
 from io import BytesIO
 from typing import TYPE_CHECKING
 
-from optshape_graph.calibration.camera.calibrate import CameraCalibration
+from optshape_graph.calibration.camera import CameraCalibration
 from optshape_graph.calibration.mocap import MocapCalibration
 from optshape_graph.detection import Detections
 from optshape_graph.errors import MissingExtraError

@@ -15,6 +15,11 @@ if TYPE_CHECKING:
 TIMELINE = "scan"
 """The slider that goes through the scans of a result."""
 
+LOOPBACK = "127.0.0.1"
+
+SECONDS = 30.0
+"""That the viewer may take to start."""
+
 
 def save_recording(seen: Spatial, path: str | Path, name: str = "optshape") -> None:
     """Write a recording that Rerun opens, whole or not at all.
@@ -37,7 +42,7 @@ def save_recording(seen: Spatial, path: str | Path, name: str = "optshape") -> N
 
 
 def open_viewer(seen: Spatial, name: str = "optshape") -> None:
-    """Open the viewer in a window of its own, and go on.
+    """Open the viewer in a window of its own, and go on. It listens to this machine only.
 
     Args:
         seen: what to show.
@@ -50,13 +55,44 @@ def open_viewer(seen: Spatial, name: str = "optshape") -> None:
     stream = _stream(name)
     require_screen("Rerun's viewer")
     try:
-        stream.spawn()
+        stream.connect_grpc(f"rerun+http://{LOOPBACK}:{_start_viewer()}/proxy")
     except Exception as error:  # whatever the system says: no program, no permission
         raise InputError(
             f"the Rerun viewer could not be started ({error}); write a file instead: --save FILE.rrd"
         ) from error
     _log(stream, seen)
     stream.flush()
+
+
+def _start_viewer() -> int:
+    """Start the viewer, bound to the loopback (its own default is all interfaces); return its port when it listens.
+
+    Raises:
+        OSError: it ended, or does not listen.
+    """
+    import socket
+    import subprocess
+    import sys
+    import time
+
+    with socket.socket() as free:
+        free.bind((LOOPBACK, 0))
+        port: int = free.getsockname()[1]
+    command = [sys.executable, "-m", "rerun", "--bind", LOOPBACK, "--port", str(port)]
+    nothing = subprocess.DEVNULL
+    viewer = subprocess.Popen(command, start_new_session=True, stdin=nothing, stdout=nothing, stderr=nothing)
+    deadline = time.monotonic() + SECONDS
+    while time.monotonic() < deadline:
+        if viewer.poll() is not None:
+            raise OSError(f"it ended with exit status {viewer.returncode}")
+        try:
+            socket.create_connection((LOOPBACK, port), 1.0).close()
+        except OSError:
+            time.sleep(0.1)
+        else:
+            return port
+    viewer.kill()
+    raise OSError(f"it does not listen after {SECONDS:.0f} s")
 
 
 def _stream(name: str) -> rerun.RecordingStream:

@@ -11,6 +11,7 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io.files import write_atomically
+from optshape_graph.names import shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,11 +38,14 @@ def new_figure(width: float = 8.0, height: float = 6.0) -> Figure:
 
     Raises:
         MissingExtraError: matplotlib is absent.
+        InputError: its settings are wrong.
     """
     try:
         from matplotlib.figure import Figure
     except ImportError as cause:
         raise missing_extra("matplotlib", "plot", cause) from cause
+    except ValueError as error:  # of its settings, the environment's included
+        raise InputError(f"matplotlib does not start: {error} (is the variable MPLBACKEND wrong?)") from error
     return Figure(figsize=(width, height), layout="constrained")
 
 
@@ -100,7 +104,8 @@ def legend_below(figure: Figure, *axes: Axes, columns: int = 4, title: str | Non
 
 
 def literal(text: str, longest: int = 48) -> str:
-    """Return a name as it is to be drawn: dollars are no mathematics, and what is very long is cut in the middle."""
+    """Return a name as it is to be drawn: dollars are no mathematics, nothing is obeyed, and it is not very long."""
+    text = shown(text)
     if len(text) > longest:
         text = f"{text[: longest // 2]}…{text[-(longest // 2 - 1) :]}"
     return text.replace("$", r"\$")

@@ -16,8 +16,8 @@ from optshape_graph.evaluation.simulation import (
     run_task,
 )
 from optshape_graph.io import load_target
+from optshape_graph.runs.workers import Pool
 
-pytest.importorskip("joblib")
 pytestmark = pytest.mark.benchmark
 
 DRAWS = 144
@@ -61,10 +61,10 @@ def test_two_workers_gain_1_7(tmp_path):
 
     def seconds(workers: int, attempt: int) -> float:
         start = time.perf_counter()
-        run_simulation(sweep(), tmp_path / f"{workers}-{attempt}", workers=workers)
+        run_simulation(sweep(), tmp_path / f"{workers}-{attempt}", pool=Pool(workers))
         return time.perf_counter() - start
 
-    run_simulation(sweep(SCANS_PER_TASK), tmp_path / "warm", workers=2)
+    run_simulation(sweep(SCANS_PER_TASK), tmp_path / "warm", pool=Pool(2))
     one, two = np.min([[seconds(workers, attempt) for workers in (1, 2)] for attempt in range(3)], axis=0)
     print(f"\none worker {one:.1f} s, two {two:.1f} s: {one / two:.2f} times")
     assert one / two >= 1.7

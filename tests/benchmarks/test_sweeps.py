@@ -13,8 +13,8 @@ import pytest
 import optshape_graph
 from optshape_graph.evaluation import SimulationSweep, by_group, consistency, run_simulation
 from optshape_graph.io import load_sensor, load_target
+from optshape_graph.runs.workers import Pool
 
-pytest.importorskip("joblib")
 pytestmark = pytest.mark.benchmark
 
 TARGET = load_target("paper")
@@ -26,7 +26,7 @@ def run(request):
     sources = sorted(Path(optshape_graph.__file__).parent.rglob("*.py"))
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]
     root = Path(request.config.cache.mkdir("sweeps")) / digest
-    return lambda name, sweep: run_simulation(sweep, root / name, workers=2)
+    return lambda name, sweep: run_simulation(sweep, root / name, pool=Pool(2))
 
 
 def column(rows, name):

@@ -162,7 +162,7 @@ def _rays_near(
     assert sensor.azimuth_step is not None
     corners = target.vertices @ T_lidar_target[:3, :3].T + T_lidar_target[:3, 3]
     # Points along the outline: in angles, edges bulge beyond their corners.
-    outline = (corners[:, None] + np.linspace(0, 1, 20)[:, None] * (np.roll(corners, -1, axis=0) - corners)[:, None])
+    outline = corners[:, None] + np.linspace(0, 1, 20)[:, None] * (np.roll(corners, -1, axis=0) - corners)[:, None]
     x, y, z = outline.reshape(-1, 3).T
     middle = np.arctan2(T_lidar_target[1, 3], T_lidar_target[0, 3])
     aside = (np.arctan2(y, x) - middle + np.pi) % (2 * np.pi) - np.pi

@@ -37,4 +37,4 @@ def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     result = CliRunner().invoke(cli, ["demo", "-o", str(tmp_path / "file/out")], standalone_mode=False)
     assert isinstance(result.exception, InputError)
-    assert "file/out: cannot be made" in str(result.exception)
+    assert "file is a file, not a folder" in str(result.exception)

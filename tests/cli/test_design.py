@@ -68,8 +68,9 @@ def test_optimise_is_repeatable_and_resumes(tmp_path):
 def test_errors_are_the_packages(tmp_path):
     with pytest.raises(InputError, match="nosuchshape"):
         run("score", "nosuchshape")
-    with pytest.raises(InputError, match="area"):
-        run("optimise", "--area", -1, "-o", tmp_path / "a.yaml")
+    result = run("optimise", "--area", -1, "-o", tmp_path / "a.yaml")
+    assert result.exit_code == 2
+    assert "'--area': expected a number of at least 1e-06 and of at most 1000, found '-1'" in result.output
 
 
 def test_optimise_draws_what_it_found(tmp_path):
@@ -96,3 +97,48 @@ def test_study_of_distances_that_are_none(tmp_path):
     result = run("study", "--distances", "near,far", "-o", tmp_path / "study")
     assert result.exit_code == 2
     assert "expected numbers with commas between, found 'near,far'" in result.output
+
+
+def test_choose_writes_the_target_its_drawing_and_the_numbers(tmp_path):
+    out, numbers = tmp_path / "board.yaml", tmp_path / "choice.json"
+    result = run("choose", "--sensor", "vlp32c", "--range", 6, "--rotation", 4, "--translation", 0.05, "-o", out,
+                 "--json", numbers)  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert "does it up to" in result.output
+    assert "hang it with its origin" in result.output
+    assert (tmp_path / "board.pdf").stat().st_size > 1000
+    document = json.loads(numbers.read_text())
+    assert load_target(out).area == pytest.approx(document["chosen"]["area_m2"])
+    assert document["chosen"]["does_it"]
+
+
+def test_measured_puts_sides_back(tmp_path):
+    out = tmp_path / "built.yaml"
+    result = run("measured", "paper", "--length", "0-1=940", "--length", "0-2=1627", "--check-bar", 99.5, "-o", out)
+    assert result.exit_code == 0, result.output
+    polygon = load_target(out).polygon
+    assert np.linalg.norm(polygon[0] - polygon[1]) == pytest.approx(0.940, abs=5e-4)
+    assert "expected I-J=MM, as 0-1=941.5; found '0:1'" in run("measured", "paper", "--length", "0:1", "-o", out).output
+    assert "nothing was measured" in run("measured", "paper", "-o", out).output
+
+
+def test_export_with_marks_and_holes_lists_the_parts(tmp_path):
+    out = tmp_path / "board.svg"
+    result = run("export", "paper@0.1", "--format", "svg", "--paper", "a3", "--orientation", "landscape",
+                 "--markers", 15, "--holes", 6, 40, "-o", out)  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "board-plan.svg").exists()
+    assert "4 holes of 6 mm, each 40 mm in from its corner" in result.output
+
+
+def test_score_explains_its_columns():
+    text = run("score", "--help").output
+    assert "e_t             bound on the distance" in text
+
+
+def test_optimise_poses_writes_a_target(tmp_path):
+    out = tmp_path / "mine.yaml"
+    result = run("optimise-poses", "--sensor", "vlp32c", "--range", 8, "--placements", 8, "--starts", 1, "-o", out)
+    assert result.exit_code == 0, result.output
+    assert len(load_target(out)) == 3
+    assert "geometric mean" in result.output

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -20,9 +21,11 @@ DEMO = Path(optshape_graph.__file__).parent / "data" / "demo" / "session.yaml"
 
 
 def run(*arguments, code=0):
-    result = CliRunner().invoke(command, [str(a) for a in arguments], catch_exceptions=True)
-    assert result.exit_code == code, result.output
-    return result.output
+    result = CliRunner().invoke(command, [str(a) for a in arguments], standalone_mode=False)
+    error = result.exception
+    said = result.output + (error.format_message() if isinstance(error, click.ClickException) else str(error or ""))
+    assert (result.return_value if error is None else 2) == code, said
+    return said
 
 
 @pytest.fixture(scope="module")

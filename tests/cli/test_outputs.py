@@ -13,7 +13,7 @@ from optshape_graph.io import demo_folder, load_sensor, load_target, write_scan
 from tests.io.schema_support import complaint
 
 pytest.importorskip("jsonschema")
-for library in ("cv2", "rosbags", "joblib", "pyarrow", "matplotlib", "ezdxf"):
+for library in ("cv2", "rosbags", "pyarrow", "matplotlib", "ezdxf"):
     pytest.importorskip(library)
 
 DEMO = demo_folder()
@@ -29,7 +29,7 @@ RUNS: dict[str, tuple[str, set[str]]] = {
         {"detect"},
     ),
     "calibrate mocap": ("calibrate mocap {session} --estimate-scale --json {out}/a.json", {"mocap"}),
-    "calibrate camera": ("calibrate camera {camera} --use-target-points --json {out}/a.json", {"camera"}),
+    "calibrate camera": ("calibrate camera {camera} --use-target-points --json {out}/a.json", {"camera-calibration"}),
     "design optimise": (
         "design optimise --starts 1 --rings 1 3 --area 0.5 --sides 3 -o {out}/a.yaml", {"target", "design-start"},
     ),
@@ -45,12 +45,14 @@ RUNS: dict[str, tuple[str, set[str]]] = {
         {"session", "extract", "sensor", "target", "camera"},
     ),
     "map": ("map {session} --one-each --json {out}/a.json --tum {out}/a.tum --g2o {out}/a.g2o", {"map"}),
+    "merge": ("merge {one} {two} --json {out}/a.json", {"map"}),
     "evaluate simulation": (
         "evaluate simulation --distance 4 --rpy 0 0 0 --noise 0 --seeds 1 --method global -o {out}",
         {"sweep", "sweep-task"},
     ),
     "evaluate mocap": ("evaluate mocap {demo} --json {out}/a.json -o {out}/tables", {"mocap-evaluation"}),
     "demo": ("demo -o {out}", {"mocap"}),
+    "info": ("info {session} {bag} {scene_file} --json {out}/a.json", {"info"}),
     "doctor": ("doctor --json {out}/a.json", {"doctor"}),
 }  # fmt: skip
 """A run of every command: its arguments, and the forms that it must have written."""
@@ -63,6 +65,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     from tests.cli.test_extract import SENSOR, recording
     from tests.detection.scenes import pose, scan_of
     from tests.fuzz.readers import SCENE
+    from tests.mapping.test_map import a_map
 
     folder = tmp_path_factory.mktemp("inputs")
     sensor = load_sensor("vlp32c")
@@ -79,7 +82,10 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     (folder / "camera").mkdir()
     session = write_session(folder / "camera")
     (session / "3.png").write_bytes(b"broken")
+    for name in ("one", "two"):
+        a_map("abc", session=name).save(folder / f"{name}.json")
     return {
+        "one": folder / "one.json", "two": folder / "two.json",
         "demo": DEMO, "session": folder / "demo" / "session.yaml", "camera": session / "session.yaml",
         "scene": folder / "scene.pcd", "empty": folder / "empty.pcd", "bad": folder / "bad.pcd",
         "scene_file": folder / "scene.yaml", "four": folder / "four.yaml", "bag": recording(folder),

@@ -86,16 +86,24 @@ def test_without_save_a_viewer_is_opened(monkeypatch):
 
 
 def test_a_viewer_that_cannot_start_is_one_line(monkeypatch):
-    rerun = pytest.importorskip("rerun")
+    pytest.importorskip("rerun")
+    commands = []
 
-    def fails(self, **_):
-        raise RuntimeError("no display")
+    class Viewer:
+        returncode = 3
 
-    monkeypatch.setattr(rerun.RecordingStream, "spawn", fails)
+        def __init__(self, command, **_):
+            commands.append(command)
+
+        def poll(self):
+            return self.returncode
+
+    monkeypatch.setattr("subprocess.Popen", Viewer)
     monkeypatch.setenv("DISPLAY", ":0")
     result = view(DEMO / "4m.pcd")
     assert isinstance(result.exception, InputError)
-    assert "could not be started (no display); write a file instead: --save FILE.rrd" in str(result.exception)
+    assert "could not be started (it ended with exit status 3); write a file instead: --save" in str(result.exception)
+    assert commands[0][1:5] == ["-m", "rerun", "--bind", "127.0.0.1"]  # others on the network see nothing
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there always is a screen")

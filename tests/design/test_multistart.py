@@ -13,6 +13,7 @@ from optshape_graph.design.problem import Problem, orientations, random_paramete
 from optshape_graph.design.rings import SensorRings, UniformRings
 from optshape_graph.io.sensors import load_sensor
 from optshape_graph.io.targets import load_target
+from optshape_graph.runs.workers import Pool
 
 STEP = np.pi / 18
 COARSE = Problem(steps=(STEP,))
@@ -47,7 +48,7 @@ def test_the_score_of_a_start_is_the_score_of_its_shape():
 
 def test_search_is_the_same_whatever_the_number_of_workers(tmp_path):
     one = search(TINY, 3, seed=5)
-    two = search(TINY, 3, seed=5, workers=2, folder=tmp_path / "starts")
+    two = search(TINY, 3, seed=5, pool=Pool(2), folder=tmp_path / "starts")
     assert one.starts == two.starts
     assert one.best.score == max(start.score for start in one.starts if start.slack >= 0)
     other = search(TINY, 1, seed=6)

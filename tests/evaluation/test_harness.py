@@ -12,8 +12,8 @@ import pytest
 
 from optshape_graph import InputError, OptshapeError
 from optshape_graph.evaluation.harness import run_tasks
-
-pytest.importorskip("joblib")
+from optshape_graph.runs.journal import locked
+from optshape_graph.runs.workers import Pool
 
 TASKS = list(range(40))
 DESCRIBE = {"what": "random numbers", "version": 1}
@@ -29,7 +29,7 @@ def draw(task):
 def test_results_are_in_order_and_the_same_with_one_and_two_workers(tmp_path):
     seen = []
     one = run_tasks(draw, TASKS, tmp_path / "one", DESCRIBE, progress=lambda done, total: seen.append((done, total)))
-    two = run_tasks(draw, TASKS, tmp_path / "two", DESCRIBE, workers=2)
+    two = run_tasks(draw, TASKS, tmp_path / "two", DESCRIBE, pool=Pool(2))
     assert one == two  # bit for bit: floats are equal
     assert [row["task"] for row in one] == TASKS
     assert seen == [(k, 40) for k in range(41)]
@@ -40,15 +40,15 @@ def test_dask_scheduler_with_two_worker_processes_gives_the_same(tmp_path):
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
     ) as cluster:
-        rows = run_tasks(draw, TASKS, tmp_path / "dask", DESCRIBE, dask=cluster.scheduler_address)
+        rows = run_tasks(draw, TASKS, tmp_path / "dask", DESCRIBE, pool=Pool(dask=cluster.scheduler_address))
     assert rows == run_tasks(draw, TASKS, tmp_path / "local", DESCRIBE)
 
 
 def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("optshape_graph.evaluation.harness.SCHEDULER_TIMEOUT_S", 1)
+    monkeypatch.setattr("optshape_graph.runs.workers.SCHEDULER_TIMEOUT_S", 1)
     with pytest.raises(OptshapeError, match=r"127\.0\.0\.1:1"):
-        run_tasks(draw, TASKS, tmp_path, DESCRIBE, dask="tcp://127.0.0.1:1")
+        run_tasks(draw, TASKS, tmp_path, DESCRIBE, pool=Pool(dask="tcp://127.0.0.1:1"))
 
 
 def test_a_killed_sweep_goes_on_and_recomputes_nothing(tmp_path):
@@ -105,6 +105,7 @@ def test_a_damaged_result_is_named(tmp_path):
         run_tasks(draw, TASKS[:3], tmp_path, DESCRIBE)
 
 
-def test_workers_are_at_least_one(tmp_path):
-    with pytest.raises(InputError, match="at least one worker"):
-        run_tasks(draw, TASKS, tmp_path, DESCRIBE, workers=0)
+def test_a_sweep_is_run_once_at_a_time(tmp_path):
+    run_tasks(draw, TASKS[:3], tmp_path, DESCRIBE)
+    with locked(tmp_path), pytest.raises(InputError, match="in use: another run writes to it"):
+        run_tasks(draw, TASKS[:3], tmp_path, DESCRIBE)

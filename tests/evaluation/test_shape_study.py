@@ -1,12 +1,11 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("joblib")
-
 from optshape_graph import InputError
 from optshape_graph.evaluation.shape_study import TILT, random_placements, random_shapes, study_shapes
 from optshape_graph.io.sensors import load_sensor
 from optshape_graph.io.targets import load_target
+from optshape_graph.runs.workers import Pool
 from optshape_graph.viz.design import plot_study
 from tests.viz.legible import assert_legible
 
@@ -36,7 +35,7 @@ def test_study_is_repeatable_resumes_and_finds_small_errors(tmp_path):
     first = study_shapes(targets, sensor, placements, 0, tmp_path / "a")
     assert len(list((tmp_path / "a").glob("task-*.json"))) == 3
     again = study_shapes(targets, sensor, placements, 0, tmp_path / "a")
-    fresh = study_shapes(targets, sensor, placements, 0, tmp_path / "b", workers=2)
+    fresh = study_shapes(targets, sensor, placements, 0, tmp_path / "b", pool=Pool(2))
     for a, b, c in zip(first.shapes, again.shapes, fresh.shapes, strict=True):
         np.testing.assert_array_equal(a.e_r, b.e_r)
         np.testing.assert_array_equal(a.e_r, c.e_r)

@@ -8,9 +8,8 @@ import pytest
 from optshape_graph import EstimationError, InputError
 from optshape_graph.evaluation.simulation import SimulationSweep, run_simulation, true_pose
 from optshape_graph.io import load_sensor, load_target
+from optshape_graph.runs.workers import Pool
 from optshape_graph.simulation.reference import reference_pose
-
-pytest.importorskip("joblib")
 
 TARGET = load_target("paper")
 FACE = (("face", (0.0, 0.0, 0.0)),)
@@ -61,7 +60,7 @@ def test_both_methods_see_the_same_cloud_and_draws_differ(tmp_path):
 def test_results_depend_on_the_seed_alone(tmp_path):
     sweep = SimulationSweep(TARGET, distances=(6.0, 9.0), orientations=FACE, noise=("3", "sensor"), draws=5)
     one = run_simulation(sweep, tmp_path / "1", estimator=centroid)
-    assert one == run_simulation(sweep, tmp_path / "2", estimator=centroid, workers=2)
+    assert one == run_simulation(sweep, tmp_path / "2", estimator=centroid, pool=Pool(2))
     other = run_simulation(replace(sweep, seed=1), tmp_path / "3", estimator=centroid)
     assert [row["error_ty"] for row in one] != [row["error_ty"] for row in other]
 

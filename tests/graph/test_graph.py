@@ -355,5 +355,5 @@ def test_observation_of_an_estimate():
     assert (observation.target, len(observation.template.symmetries)) == ("square", 4)
     assert Observation.of("s0", Estimated(), "door").target == "door"
     assert len(observation.equivalent_poses()) == 4
-    with pytest.raises(InputError, match="'square' failed"):
+    with pytest.raises(InputError, match="'square' is failed"):
         Observation.of("s0", Failed())

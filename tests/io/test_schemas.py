@@ -71,7 +71,8 @@ def test_lengths_and_angles_state_their_unit() -> None:
 
 def test_an_unknown_schema_is_refused() -> None:
     with pytest.raises(
-        InputError, match="no schema 'poem'; expected one of: camera-1, camera-calibration-1, design-scores-1"
+        InputError,
+        match="no schema 'poem'; expected one of: camera-1, camera-calibration-1, design-choice-1, design-scores-1",
     ):
         load_schema("poem")
 

@@ -185,7 +185,6 @@ def test_a_killed_command_leaves_whole_files_only(tmp_path: Path) -> None:
     """Killed again and again at any moment, a sweep has whole tasks only, and ends where it would have ended."""
     import json
 
-    pytest.importorskip("joblib")
     line = ["evaluate", "simulation", "--distance", "3", "--distance", "4", "--rpy", "0", "0", "0", "--noise", "1",
             "--seeds", "8", "--method", "global", "-o"]  # fmt: skip
     command = [sys.executable, "-m", "optshape_graph", *line, str(tmp_path / "out")]

@@ -126,7 +126,7 @@ def drive(
                     estimate = estimate_pose(deskew(returns, twist), target)
                 except EstimationError:
                     continue
-                if estimate.status != "failed":
+                if estimate.usable:
                     seen.append(Sighting.of(estimate, f"t{j}"))
         sightings.append(seen)
     return Drive(poses, targets, measured, np.array([covariance(s) for s in sigma]), sightings)

@@ -21,6 +21,7 @@ from optshape_graph.mapping.recording import (
     map_recording,
     observe_all,
 )
+from optshape_graph.runs.workers import Pool
 from optshape_graph.se3 import difference, exp, inverse, transform
 from optshape_graph.simulation import ConstantTwist, Floor, NoiseModel, Patch, Scene, simulate
 from tests.mapping.support import at
@@ -55,7 +56,7 @@ def test_a_moving_robot_maps_its_targets(workers):
     slam, progress = LandmarkSlam(), Progress()
     frames = keyframes(scans, OdometryTrack(poses), KeyframePolicy(), progress)
     reported = []
-    seen = observe_all(frames, [TARGET], named=False, shapes=False, workers=workers)
+    seen = observe_all(frames, [TARGET], named=False, shapes=False, pool=Pool(workers))
     build_map(slam, seen, MotionNoise(), progress, lambda now: reported.append(now.scans))
     assert progress.keyframes == len(reported) == 5
     assert not progress.skipped
@@ -127,7 +128,7 @@ def write_folder(folder, scans, poses):
 def test_a_recording_becomes_a_map_in_one_call(tmp_path):
     scans, poses = drive(5)
     folder = write_folder(tmp_path / "drive", scans, poses)
-    result = map_recording(folder, TARGET, SENSOR, workers=1)
+    result = map_recording(folder, TARGET, SENSOR, pool=Pool(1))
     assert not result.problems
     assert not result.warnings
     assert (result.progress.scans, result.progress.keyframes, result.progress.landmarks) == (5, 5, 2)
@@ -138,9 +139,9 @@ def test_a_recording_becomes_a_map_in_one_call(tmp_path):
     # The LiDAR's clock is 100 s ahead of the odometry's: said, and mended.
     late = [Stamped(pose.stamp - 100.0, pose.value) for pose in poses]
     other = write_folder(tmp_path / "late", scans, late)
-    nothing = map_recording(other, TARGET, SENSOR, workers=1)
+    nothing = map_recording(other, TARGET, SENSOR, pool=Pool(1))
     assert [text for text in nothing.problems if "clock offset" in text and "from 0.000 to 1.200 s" in text]
-    mended = map_recording(other, TARGET, SENSOR, workers=1, clock_offset=100.0)
+    mended = map_recording(other, TARGET, SENSOR, pool=Pool(1), clock_offset=100.0)
     assert len(mended.map.landmarks) == 2
     # Without odometry it says what it takes for granted.
     assert any("no odometry" in text for text in map_recording(folder, TARGET, SENSOR, odometry="none").warnings)
@@ -153,7 +154,7 @@ def test_a_recording_becomes_a_map_in_one_call(tmp_path):
 def test_most_scans_lost_is_a_problem(tmp_path):
     scans, poses = drive(5)
     folder = write_folder(tmp_path / "drive", scans, [pose for pose in poses if pose.stamp < 0.5])
-    result = map_recording(folder, TARGET, SENSOR, workers=1)
+    result = map_recording(folder, TARGET, SENSOR, pool=Pool(1))
     assert "3 of 5 scans were lost" in result.problems
 
 

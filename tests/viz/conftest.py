@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from optshape_graph.calibration.camera.calibrate import CameraCalibration, calibrate
+from optshape_graph.calibration.camera import CameraCalibration
+from optshape_graph.calibration.camera.calibrate import calibrate
 from tests.calibration.camera.support import PINHOLE, synthetic_views
 
 

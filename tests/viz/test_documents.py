@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from optshape_graph import InputError
-from optshape_graph.calibration.camera.export import as_document
 from optshape_graph.io import demo_folder, load_target, read_scan
 from optshape_graph.io.documents import write_json
 from optshape_graph.mapping import Landmark, Map, save_map
@@ -131,7 +130,7 @@ def test_a_map(results, tmp_path) -> None:
 
 
 def test_cameras(camera_calibration, tmp_path) -> None:
-    write_json(tmp_path / "camera.json", as_document(camera_calibration))
+    write_json(tmp_path / "camera.json", camera_calibration.to_dict())
     seen = spatial(tmp_path / "camera.json")
     T = np.linalg.inv(camera_calibration.transform("front", camera_calibration.lidars[0])[0])
     (pyramid,) = items(seen, "cameras/front/sees")

@@ -11,8 +11,9 @@ from scipy.stats import chi2
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.graph import Discrepancy, Rig, Sighting
-from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan, View, candidates
+from optshape_graph.calibration.camera.sightings import TargetInScan, View, candidates
 from optshape_graph.calibration.images.planar_pose import refine_pose
+from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.se3 import angle, difference, inverse
 
 FALSE_REJECTION = 1e-4
@@ -99,12 +100,14 @@ def estimate_discrepancy(sightings: Sequence[Sighting], rig: Rig, used: set[int]
     return Discrepancy(float(rotation), float(translation))
 
 
-def describe(number: int, views: Sequence[View], sightings: Sequence[Sighting], rig: Rig, limit: float) -> str:
+def describe(
+    number: int, views: Sequence[View], sightings: Sequence[Sighting], rig: Rig, discrepancy: Discrepancy, limit: float
+) -> str:
     """Say how far apart a view's two sightings are under a rig, and whose image its scan fits instead."""
     scan, image = of_view(number, sightings)
     if scan is None or image is None:
         return "it does not agree with the other sightings of its placement"
-    T_lidar_target = pose_alone(scan, rig)
+    T_lidar_target, camera = pose_alone(scan, rig), rig.cameras[image.sensor]
     predicted = inverse(rig.T_base_sensor[image.sensor]) @ rig.T_base_sensor[scan.sensor] @ T_lidar_target
     shift = 1e3 * np.linalg.norm(predicted[:3, 3] - image.T_sensor_target[:3, 3])
     turn = np.degrees(angle(inverse(predicted) @ image.T_sensor_target))
@@ -113,8 +116,11 @@ def describe(number: int, views: Sequence[View], sightings: Sequence[Sighting], 
         if other == number or view.image is None or view.image.camera.name != image.sensor:
             continue
         for candidate in candidates(view.image, view.target):
-            moved = predicted @ _nearest_symmetry(predicted, candidate.T_sensor_target, view)
-            if _squared(moved, scan.covariance, candidate.T_sensor_target, candidate.covariance) < limit:
+            seen = candidate.T_sensor_target
+            if camera is not view.image.camera:
+                seen = refine_pose(view.image.points.relabelled(candidate.S), camera, seen).T_camera_target
+            moved = predicted @ _nearest_symmetry(predicted, seen, view)
+            if _squared(moved, _covariance(scan, discrepancy), seen, candidate.covariance) < limit:
                 return f"{text}; its scan fits the image {view.image_name} instead: were they swapped?"
     return text
 

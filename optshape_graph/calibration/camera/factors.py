@@ -39,15 +39,11 @@ PRINT_SIGMA_M = 1e-4
 OFFSET_SIGMA_M = (1e-4, 2e-3, 2e-3)
 """Standard deviation of where a pattern lies on its target, metres: above the plane, and in it (y, z)."""
 
-INTRINSICS_SIGMA = np.array([20.0, 20.0, 1e-6, 1e-3, 1e-3, 0.05, 0.05, 0.05, 0.05])
-"""Prior standard deviations of refined intrinsics: fx, fy, skew, cx, cy (px), and the four distortion terms.
+INTRINSICS_SIGMA = np.array([20.0, 20.0, 1e-6, 10.0, 10.0, 0.05, 0.05, 0.05, 0.05])
+"""Prior standard deviations of the intrinsics: fx, fy, skew, cx, cy (px), and the four distortion terms."""
 
-The principal point stays: moving it is nearly a turn of the camera, which the extrinsic takes up, so that the
-extrinsic still fits the principal point that whoever uses it has.
-"""
-
-LENS = np.array([0, 1, 5, 6, 7, 8])
-"""The entries of the intrinsics that are refined: focal lengths and distortion."""
+LENS = np.array([0, 1, 3, 4, 5, 6, 7, 8])
+"""The entries of the intrinsics that may be off: all but the skew."""
 
 
 def coupling_factor(
@@ -104,19 +100,21 @@ class CompiledCamera(Value):
     ideal: bool
 
     @classmethod
-    def of(cls, camera: CameraIntrinsics, refined: bool) -> CompiledCamera:
-        """Choose GTSAM's Cal3Fisheye or Cal3DS2, or Cal3_S2 on undistorted pixels for longer distortion models.
+    def of(cls, camera: CameraIntrinsics) -> CompiledCamera:
+        """Choose GTSAM's Cal3Fisheye or Cal3DS2, or Cal3_S2 on undistorted pixels for longer distortion models."""
+        return cls(camera, camera.model == "pinhole" and bool(np.any(camera.D[4:])))
+
+    def check_refinable(self) -> None:
+        """Raise unless the lens can be refined.
 
         Raises:
-            InputError: intrinsics are to be refined which have more than four distortion terms.
+            InputError: it has more than four distortion terms.
         """
-        ideal = camera.model == "pinhole" and bool(np.any(camera.D[4:]))
-        if ideal and refined:
+        if self.ideal:
             raise InputError(
-                f"camera '{camera.name}': {len(camera.D)} distortion terms; intrinsics of the pinhole model are "
-                f"refined with k1, k2, p1, p2 only"
+                f"camera '{self.intrinsics.name}': {len(self.intrinsics.D)} distortion terms; intrinsics of the "
+                f"pinhole model are refined with k1, k2, p1, p2 only"
             )
-        return cls(camera, ideal)
 
     @property
     def vector(self) -> Floats:

@@ -10,9 +10,10 @@ from scipy.stats import f as f_distribution
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.factors import INTRINSICS_SIGMA, LENS, CompiledCamera
-from optshape_graph.calibration.camera.sightings import TargetInImage, View
+from optshape_graph.calibration.camera.sightings import View
 from optshape_graph.calibration.images.planar_pose import whitened_errors
 from optshape_graph.calibration.images.projection import project
+from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.errors import InputError
 from optshape_graph.se3 import apply
 
@@ -46,7 +47,7 @@ class LensCheck:
 
 
 def check_lenses(views: Sequence[View]) -> tuple[LensCheck, ...]:
-    """Test each camera's lens against its images: would focal lengths and distortion fit better, all poses free?
+    """Test each camera's lens against its images: would another lens fit better, all poses free?
 
     A score test: one linear step from the given intrinsics and the poses of the images alone, so nothing is solved.
     Cameras with few images, or with more distortion terms than can be refined, are left out.
@@ -61,7 +62,8 @@ def check_lenses(views: Sequence[View]) -> tuple[LensCheck, ...]:
     checks = []
     for name, group in images.items():
         try:
-            camera = CompiledCamera.of(next(iter(group.values())).camera, refined=True)
+            camera = CompiledCamera.of(next(iter(group.values())).camera)
+            camera.check_refinable()
         except InputError:
             continue
         if len(group) >= FEWEST_IMAGES:
@@ -94,7 +96,7 @@ def _check(name: str, images: Sequence[TargetInImage], camera: CompiledCamera) -
 
 
 def _by_lens(image: TargetInImage, camera: CompiledCamera) -> Floats:
-    """Derivative (2 m, 6) of the whitened errors by the entries LENS of the intrinsics."""
+    """Derivative (2 m, 8) of the whitened errors by the entries LENS of the intrinsics."""
     T, points = image.poses[0].T_camera_target, image.points
     in_camera = apply(T, points.points)
     columns = []

@@ -12,10 +12,11 @@ from scipy.spatial.transform import Rotation
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.graph import Sighting
 from optshape_graph.calibration.camera.observability import principal_directions
-from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan
+from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import pose_at
 from optshape_graph.calibration.images.projection import normalised, project
+from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.se3 import adjoint, apply, inverse
 from optshape_graph.target import Target

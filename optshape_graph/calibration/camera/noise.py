@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from optshape_graph.calibration.camera.sightings import TargetInImage, View
+from optshape_graph.calibration.camera.sightings import View
 from optshape_graph.calibration.images.projection import project
+from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.se3 import apply
 
 PRIOR_RESIDUALS = 20.0

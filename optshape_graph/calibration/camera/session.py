@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
@@ -12,9 +11,10 @@ import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 
 from optshape_graph._arrays import Floats
+from optshape_graph.calibration.camera.checks import check_session
 from optshape_graph.calibration.camera.crops import planar_returns
-from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan, View
-from optshape_graph.calibration.images.reading import ImageTask, find_targets
+from optshape_graph.calibration.camera.sightings import TargetInScan, View
+from optshape_graph.calibration.images.reading import ImageTask, TargetInImage, find_targets
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import RANGE_BIAS, SharedError
@@ -47,13 +47,11 @@ def read_views(session: Session, use_target_points: bool = False, progress: Prog
         progress: called as images and scans are done.
 
     Raises:
-        InputError: the session has no camera, no view with an image, or lacks the crops that were asked for; or the
-            intrinsics fit none of the images.
+        InputError: what `check_session` says; crops that were asked for are missing; or the intrinsics fit half of the
+            images or fewer.
+        EstimationError: no image, or no scan, shows a target; the message has the reason of each.
     """
-    if not any(entry.image for entry in session.views):
-        raise InputError(
-            f"{session.path}: no view has an image; a camera calibration needs views with a scan and an image"
-        )
+    check_session(session)
     image_tasks, scan_tasks = _image_tasks(session), _scan_tasks(session, use_target_points)
     total, done, lock = len(image_tasks) + len(scan_tasks), 0, Lock()
 
@@ -64,11 +62,9 @@ def read_views(session: Session, use_target_points: bool = False, progress: Prog
             if progress is not None:
                 progress(done, total)
 
-    # OpenCV lets go of the interpreter, so images and scans are worked on at once.
-    with ThreadPoolExecutor(max_workers=1) as pool:
-        pending = pool.submit(_read_images, image_tasks, tick)
-        scans = _read_scans(session, scan_tasks, use_target_points, tick)
-        images = pending.result()
+    images = _read_images(session, image_tasks, tick)
+    scans = _read_scans(session, scan_tasks, use_target_points, tick)
+    _check_found(session, scans.values(), TargetInScan, "scan")
     placements = _placements(session.views)
     views = []
     for number, entry in enumerate(session.views):
@@ -106,7 +102,7 @@ def target_in_scan(
         EstimationError: no pose can be estimated, or it is not to be used.
     """
     estimate = estimate_pose(returns, target) if estimate is None else estimate
-    if not estimate.usable or estimate.shared is None:
+    if estimate.status == "failed" or estimate.shared is None:
         raise EstimationError(f"{returns.name}: {estimate.reason}")
     shared, shared_effect = _shared_errors(estimate)
     return TargetInScan(
@@ -115,9 +111,11 @@ def target_in_scan(
         T_lidar_target=estimate.T_lidar_target,
         covariance=estimate.covariance,
         measurement=estimate.measurement,
+        uncorrected=estimate.shared.marginal([float(e.kind != RANGE_BIAS) for e in estimate.shared.shared]),
         shared=shared,
         shared_effect=shared_effect,
         edge_inset=estimate.inset_rad,
+        doubt=estimate.reason if estimate.status == "doubtful" else "",
         own=returns,
         all_returns=(scan or returns).points,
     )
@@ -161,12 +159,26 @@ def _scan_tasks(session: Session, use_target_points: bool) -> dict[tuple[Path, s
     return wanted
 
 
-def _read_images(tasks: Mapping[ImageKey, ImageTask], tick: Callable[[], None]) -> dict[ImageKey, ImageResult]:
+def _read_images(
+    session: Session, tasks: Mapping[ImageKey, ImageTask], tick: Callable[[], None]
+) -> dict[ImageKey, ImageResult]:
     found = find_targets(list(tasks.values()), tick)
     unfit = [error for error in found if isinstance(error, InputError)]
-    if unfit and len(unfit) == len(found):
-        raise unfit[0]
+    shown = sum(isinstance(one, TargetInImage) for one in found)
+    if unfit and shown <= len(unfit):
+        others = f" ({len(unfit)} of {len(unfit) + shown} images do not fit)" if len(unfit) > 1 else ""
+        raise InputError(f"{unfit[0]}{others}")
+    _check_found(session, found, TargetInImage, "image")
     return dict(zip(tasks, found, strict=True))
+
+
+def _check_found(session: Session, found: Iterable[object], kind: type, what: str) -> None:
+    """Raise with the reasons where no file shows a target."""
+    results = list(found)
+    if not any(isinstance(one, kind) for one in results):
+        folder = f"{session.path.parent}/"
+        reasons = dict.fromkeys(str(one).replace(folder, "") for one in results)
+        raise EstimationError(f"{session.path}: no {what} shows a target: {'; '.join(reasons)}")
 
 
 def _read_scans(
@@ -205,7 +217,7 @@ def _detected(scan: Scan, lidar: str, targets: Mapping[str, Target]) -> dict[str
     detections = detect_targets(scan, list(named.values()))
     results: dict[str, ScanResult] = {}
     for name in targets:
-        found = [one for one in detections.found if one.target.name == name and one.estimate.usable]
+        found = [one for one in detections.found if one.target.name == name and one.estimate.status != "failed"]
         if found:
             best = max(found, key=lambda one: one.score)
             results[name] = target_in_scan(scan.select(best.indices), best.target, lidar, best.estimate, scan)

@@ -8,9 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value, frozen
-from optshape_graph.calibration.images.image_points import ImagePoints
-from optshape_graph.calibration.images.planar_pose import PlanarPose
-from optshape_graph.camera import CameraIntrinsics
+from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.factors import SharedError, TemplateMeasurement
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, inverse
@@ -26,11 +24,13 @@ class TargetInScan(Value):
         scan: the scan's name.
         T_lidar_target: (4, 4) estimated pose.
         covariance: (6, 6) of its right perturbation, rotation first.
-        measurement: the exact cost of the returns.
+        measurement: the exact cost of the returns, range biases of the rings allowed for.
+        uncorrected: the same, the rings' biases being part of what is measured: for clouds as they come.
         shared: the errors that all scans of the LiDAR have in common: the range biases of its rings.
         shared_effect: (6, k) right perturbation of the pose, rad and metres, by a standard deviation of each.
         edge_inset: median azimuth from a ring's last return to the target's edge, rad; the estimate lets it be what it
             is in each scan.
+        doubt: why the returns do not fit the target as they should, "" if they do; the other sightings judge the pose.
         own: the returns on the target.
         all_returns: (M, 3) every return of the scan, metres, for overlays.
     """
@@ -40,9 +40,11 @@ class TargetInScan(Value):
     T_lidar_target: Floats
     covariance: Floats
     measurement: TemplateMeasurement
+    uncorrected: TemplateMeasurement
     shared: tuple[SharedError, ...]
     shared_effect: Floats
     edge_inset: float
+    doubt: str
     own: Scan
     all_returns: Floats
 
@@ -70,23 +72,6 @@ class TargetInScan(Value):
         T = np.array(self.T_lidar_target)
         T[:3, 3] -= range_bias * self.ray
         return T
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class TargetInImage(Value):
-    """One target in one image.
-
-    Attributes:
-        camera: the intrinsics; their name is the camera's.
-        image: the image's name.
-        points: points of the target with their pixels.
-        poses: the one or two poses that explain them, the better one first.
-    """
-
-    camera: CameraIntrinsics
-    image: str
-    points: ImagePoints
-    poses: tuple[PlanarPose, ...]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

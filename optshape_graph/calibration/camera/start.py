@@ -9,8 +9,9 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.graph import Rig, Sighting
-from optshape_graph.calibration.camera.sightings import Candidate, TargetInImage, TargetInScan, View, candidates
+from optshape_graph.calibration.camera.sightings import Candidate, TargetInScan, View, candidates
 from optshape_graph.calibration.consensus import CUT, Consensus, distances, relative_pose
+from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.errors import EstimationError, UnobservableError
 from optshape_graph.se3 import inverse
 
@@ -61,8 +62,8 @@ def find_start(views: Sequence[View]) -> Start:
     readings = [reading for group in placements.values() for reading in group]
     lidars = [reading.sensor for reading in readings if isinstance(reading.seen, TargetInScan)]
     if not lidars:
-        problem = next((view.problem for view in views if view.problem), "")
-        raise EstimationError("no target was found in any scan" + (f"; the first: {problem}" if problem else ""))
+        problems = dict.fromkeys(view.problem for view in views if view.problem)
+        raise EstimationError("; ".join(["no target was found in any scan", *problems]))
     base = lidars[0]
     T_base_sensor = _connected(base, readings, list(placements.values()))
 

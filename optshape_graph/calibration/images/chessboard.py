@@ -60,17 +60,18 @@ def find_chessboard(image: np.ndarray, board: Chessboard, thorough: bool = True)
     return ImagePoints.of_pattern(chessboard_points(board), grid.reshape(-1, 2), CORNER_SIGMA_PX, symmetries)
 
 
-def other_counts(image: np.ndarray, board: Chessboard) -> tuple[int, int] | None:
-    """Return the inner corners of the chessboard that an image shows if their numbers are others than stated.
+def shown_counts(image: np.ndarray, board: Chessboard) -> tuple[int, int] | None:
+    """Return the numbers of inner corners of the chessboard that an image shows: those stated, or some near them.
 
-    Tried are squares counted for corners, and one row or column more or less.
+    Tried are the stated ones, squares counted for corners, and one row or column more or less. In which order they
+    stand, an image does not tell.
 
     Args:
         image: (h, w) grey image, 8 bit.
         board: the pattern as stated.
     """
     a, b = board.inner_corners
-    for size in ((a - 1, b - 1), (a + 1, b + 1), (a - 1, b), (a, b - 1), (a + 1, b), (a, b + 1)):
+    for size in ((a, b), (a - 1, b - 1), (a + 1, b + 1), (a - 1, b), (a, b - 1), (a + 1, b), (a, b + 1)):
         if min(size) > 2 and _find_reduced(image, size, SMALL_PX) is not None:
             return size
     return None

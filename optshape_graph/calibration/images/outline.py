@@ -69,6 +69,35 @@ def fit_outline(
     return _edge_points(target, fitted.points[good], fitted.pixels[good], normals[rows])
 
 
+def edge_shifts(
+    image: np.ndarray, target: Target, camera: CameraIntrinsics, T_camera_target: Floats, reach_m: float
+) -> Floats:
+    """Return by how much each edge (n,) of a target lies further out in an image than its pose says, metres.
+
+    Args:
+        image: (h, w) grey image, 8 bit.
+        target: the polygon.
+        camera: the intrinsics.
+        T_camera_target: (4, 4) its pose, known from its pattern.
+        reach_m: how far to look on either side of an edge, metres.
+
+    Returns:
+        Medians over the points of each edge; NaN where too little of it is seen.
+    """
+    cv2 = opencv()
+    smooth = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float32)
+    points, edge = outline_points(target)
+    pixels, normals = _projected_edges(camera, T_camera_target, points, edge, target)
+    outward = np.column_stack([np.zeros(len(target)), target.normals])[edge]
+    further = project(camera, apply(T_camera_target, points + 1e-3 * outward))
+    px_per_m = np.einsum("ni,ni->n", further - pixels, normals) / 1e-3
+    reach = max(float(np.median(px_per_m)) * reach_m, 4.0)
+    shift, visible = _strongest_step(smooth, pixels, normals, reach)
+    visible &= _consistent(shift, visible, edge, reach)
+    shifts = [(shift / px_per_m)[visible & (edge == k)] for k in range(len(target))]
+    return np.array([np.median(each) if len(each) >= POINTS_PER_EDGE // 4 else np.nan for each in shifts])
+
+
 def outline_points(target: Target) -> tuple[Floats, np.ndarray]:
     """Return points (n * POINTS_PER_EDGE, 3) along the target's edges, away from the vertices, and their edges."""
     share = np.linspace(0.05, 0.95, POINTS_PER_EDGE)[None, :, None]

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Bools, Floats
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.io.image_files import opencv
 
 NEWTON_STEPS = 10
 NEGLIGIBLE_PX = 1e-7
+
+WIDEST = np.radians(89.0)
+"""Angle from the optical axis beyond which no lens is taken to see."""
 
 
 def project(camera: CameraIntrinsics, points: Floats) -> Floats:
@@ -24,6 +27,31 @@ def project(camera: CameraIntrinsics, points: Floats) -> Floats:
 def projection_derivative(camera: CameraIntrinsics, points: Floats) -> Floats:
     """Return the derivative (N, 2, 3) of the pixels by points (N, 3), pixels per metre, camera frame."""
     return projected(camera, points, np.zeros(3), np.zeros(3))[1][:, :, 3:]
+
+
+def in_view(camera: CameraIntrinsics, points: Floats) -> Bools:
+    """Return which of points (N, 3), metres, camera frame, the lens can see: where its model still leads outwards.
+
+    Beyond some angle a distortion polynomial turns back, and would draw what is beside the image, or behind the
+    camera, into it.
+    """
+    angles = np.arctan2(np.linalg.norm(points[:, :2], axis=1), points[:, 2])
+    return np.asarray(angles < widest_angle(camera))
+
+
+def widest_angle(camera: CameraIntrinsics) -> float:
+    """Return the angle from the optical axis, rad, up to which a lens model maps larger angles farther out."""
+    angles = np.linspace(0.0, WIDEST, 2000)
+    D = np.zeros(8)
+    D[: len(camera.D)] = camera.D
+    if camera.model == "equidistant":
+        radii = angles * (1 + np.polyval([*D[3::-1], 0.0], angles**2))
+    else:
+        squared = np.tan(angles) ** 2
+        radii = np.tan(angles) * (1 + np.polyval([D[4], D[1], D[0], 0.0], squared))
+        radii = radii / (1 + np.polyval([D[7], D[6], D[5], 0.0], squared))
+    back = np.diff(radii) <= 0
+    return float(angles[back.argmax()] if back.any() else WIDEST)
 
 
 def normalised(camera: CameraIntrinsics, pixels: Floats) -> Floats:

@@ -5,23 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.images.image_points import ImagePoints, turn_about
-from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.io.image_files import opencv
+from optshape_graph.calibration.images.image_points import ImagePoints
+from optshape_graph.errors import EstimationError
+from optshape_graph.io.image_files import opencv, tag_dictionary
 from optshape_graph.target import Tags
 
 CORNER_SIGMA_PX = 0.5
 """Standard deviation of a tag's corner: an L-shaped corner is found less well than a chessboard's crossing."""
 
-UPRIGHT = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
-"""(y, z) of an upright tag's corners, in sides, clockwise from the top left as the viewer on the -x side sees them."""
-
 
 def tag_points(tags: Tags, number: int) -> Floats:
     """Return the corners (4, 3) of one tag, target frame, metres, in OpenCV's order."""
-    corners = np.column_stack([np.zeros(4), UPRIGHT * tags.size])
-    turned = corners @ turn_about((0.0, 0.0), tags.turn)[:3, :3].T
-    return np.asarray(turned + np.concatenate([[0.0], tags.centres[number]]))
+    return np.column_stack([np.zeros(4), tags.corners(number)])
 
 
 def find_tags(image: np.ndarray, tags: Tags) -> ImagePoints:
@@ -35,13 +30,7 @@ def find_tags(image: np.ndarray, tags: Tags) -> ImagePoints:
         InputError: OpenCV has no dictionary of that name.
         EstimationError: none of the target's tags is found.
     """
-    cv2 = opencv()
-    name = f"DICT_{tags.dictionary}".lower()
-    known = {key.lower(): key for key in dir(cv2.aruco) if key.startswith("DICT_")}
-    if name not in known:
-        names = ", ".join(sorted(key.removeprefix("DICT_") for key in known.values()))
-        raise InputError(f"no tag dictionary '{tags.dictionary}'; expected one of {names}")
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, known[name]))
+    cv2, dictionary = opencv(), tag_dictionary(tags.dictionary)
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     corners, numbers, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)

@@ -11,7 +11,7 @@ from optshape_graph.calibration.free_shape import measure_shape
 from optshape_graph.calibration.mocap.agreement import placements
 from optshape_graph.calibration.mocap.comparison import MocapScan
 from optshape_graph.calibration.mocap.graph import Innovation, MarkerModel, Solution
-from optshape_graph.calibration.verdict import Finding
+from optshape_graph.calibration.verdict import Finding, of_doubts
 from optshape_graph.errors import EstimationError
 from optshape_graph.se3 import skew
 
@@ -67,6 +67,7 @@ def judge(
     chi_square = float(np.mean([compared[i].chi_square for i in used]))
     too_few = [scans[used.index(i)].name for i in contradicting(compared, used, model) if i in used]
     return (
+        *of_doubts([scan.estimate.reason if scan.estimate.status == "doubtful" else "" for scan in scans]),
         *_of_number(scans, solution, scatter, len(compared) - len(used)),
         *_of_scatter(max(scatter, chi_square / 6), too_few),
         *_of_layout(scans, solution, model, scatter),

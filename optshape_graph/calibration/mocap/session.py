@@ -80,7 +80,7 @@ def _estimated(name: str, view: View, session: Session, target: Target, checked:
         estimate = estimate_pose(returns, target)
     except EstimationError as error:
         return LeftOut(name, str(error))
-    if estimate.status != "ok":
+    if estimate.status in ("failed", "ambiguous"):  # a doubtful one is judged by the other scans
         return LeftOut(name, f"{estimate.status}: {estimate.reason}")
     return MocapScan(name, estimate, markers, frame, returns)
 

@@ -113,7 +113,7 @@ def rings_by_firing(points: Floats, sensor: SensorModel | None, name: str) -> In
     """Recover rings from the order of returns, where the file keeps each beam's sweep together, as KITTI's do.
 
     A beam's sweep ends where the azimuth jumps back, or where it has gone round; the next is of the next beam. Where a
-    round begins the file does not say: of three places the one that makes the sweeps most level.
+    round begins the file does not say: of three places the one that makes the fewest level sweeps.
 
     Args:
         points: (N, 3) metres, LiDAR frame, in the order of the file.
@@ -138,7 +138,9 @@ def rings_by_firing(points: Floats, sensor: SensorModel | None, name: str) -> In
         phase = np.mod(direction * (azimuth - start), 2 * np.pi)
         back = (direction * step < -SWEEP_BACK) | (np.diff(phase) < -np.pi)
         sweeps.append(np.concatenate([[0], np.cumsum(back)]))
-    sweep = min(sweeps, key=lambda sweep: _scatter(elevation, sweep))
+    scatters = [_scatter(elevation, sweep) for sweep in sweeps]
+    level = [sweep for sweep, s in zip(sweeps, scatters, strict=True) if s <= 2 * min(scatters) + SWEEP_JITTER**2 / 9]
+    sweep = min(level, key=lambda sweep: int(sweep[-1]))
     if not 2 <= sweep[-1] + 1 <= MOST_SWEEPS or not _are_level(elevation, sweep):
         return None
     try:

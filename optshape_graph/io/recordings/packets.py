@@ -58,10 +58,6 @@ class Capture:
 
     Attributes:
         path: the file.
-
-    Raises:
-        InputError: no packets of a LiDAR that is read here.
-        MissingExtraError: the decoder is absent.
     """
 
     def __init__(self, path: Path) -> None:
@@ -69,7 +65,12 @@ class Capture:
 
     @cached_property
     def topics(self) -> tuple[Topic, ...]:
-        """The one topic of scans."""
+        """The one topic of scans.
+
+        Raises:
+            InputError: no packets of a LiDAR that is read here.
+            MissingExtraError: the decoder is absent.
+        """
         if self._metadata is not None:
             return (Topic("packets", "scan", "Ouster packets", None),)
         sizes: Counter[int] = Counter()
@@ -197,9 +198,9 @@ def decode_velodyne(message: Any, name: str, sensor: SensorModel | None) -> Stam
         stamp = packet.stamp.sec + packet.stamp.nanosec / 1e9
         packets.append(library.VelodynePacket(stamp, bytes(packet.data)))
     try:
-        decoded = _decoded(name, lambda: library.ScanDecoder(library.Config()).decode(packets, True))
-        return Stamped(float(decoded[0].host), make_scan(_columns(decoded[1], name), sensor))
-    except InputError as error:
+        stamp, points = library.ScanDecoder(library.Config()).decode(packets, True)
+        return Stamped(float(stamp.host), make_scan(_columns(points, name), sensor))
+    except Exception as error:  # of the decoder: not a closed set; or no scan
         raise BadMessage("not a scan", str(error)) from error
 
 

@@ -10,11 +10,12 @@ from scipy.spatial.transform import Rotation
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.factors import OFFSET_SIGMA_M
 from optshape_graph.calibration.camera.session import target_in_scan
-from optshape_graph.calibration.camera.sightings import TargetInImage, TargetInScan, View
+from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.images.chessboard import chessboard_points
 from optshape_graph.calibration.images.image_points import ImagePoints, turn_about
 from optshape_graph.calibration.images.planar_pose import planar_poses
 from optshape_graph.calibration.images.projection import project
+from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.io import load_sensor
 from optshape_graph.sensor import SensorModel

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from optshape_graph.calibration.camera.calibrate import calibrate
-from optshape_graph.calibration.camera.export import as_document
 from optshape_graph.calibration.camera.graph import Unknowns
 from optshape_graph.calibration.camera.sightings import View
 from optshape_graph.calibration.images.planar_pose import planar_poses
@@ -178,7 +177,7 @@ def test_several_sensors_jointly(tmp_path):
     ):
         x, covariance = error(result, a, b, truth)
         assert x @ np.linalg.solve(covariance, x) < 22.5, (a, b)
-    write_json(tmp_path / "camera.json", as_document(result))
+    write_json(tmp_path / "camera.json", result.to_dict())
     assert complaint(tmp_path / "camera.json") is None
 
 
@@ -209,7 +208,7 @@ def test_leave_one_out_does_not_see_the_view(views, calibration):
     others = calibrate([view for k, view in enumerate(views) if k != 4])
     T = others.transform("cam", "lidar")[0]
     scan, image = views[4].scan, views[4].image
-    predicted = T @ scan.pose(others.range_bias("lidar")[0])
+    predicted = T @ scan.pose(0.0)
     centres = [pose @ np.linalg.inv(S) for S in image.points.symmetries for pose in [image.poses[0].T_camera_target]]
     distances = [1e3 * np.linalg.norm(predicted[:3, 3] - C[:3, 3]) for C in centres]
     # The discrepancy is estimated from all views there, and from the others here.
@@ -239,5 +238,5 @@ def test_two_views_are_not_called_parallel(views):
 
 def test_why_no_target_was_found(views):
     nothing = [replace(view, scan=None, problem="a.pcd: no board") for view in views[:3]]
-    with pytest.raises(EstimationError, match=r"no target was found in any scan; the first: a\.pcd: no board"):
+    with pytest.raises(EstimationError, match=r"no target was found in any scan; a\.pcd: no board"):
         calibrate(nothing)

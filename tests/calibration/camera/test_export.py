@@ -6,7 +6,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from optshape_graph.calibration.camera.calibrate import calibrate
-from optshape_graph.calibration.camera.export import as_document, kalibr_camchain, static_transforms
+from optshape_graph.calibration.camera.export import kalibr_camchain
+from optshape_graph.calibration.camera.static_transforms import static_transforms
 from optshape_graph.errors import InputError
 from optshape_graph.io import load_camera
 from optshape_graph.io.documents import write_json, write_yaml
@@ -19,7 +20,7 @@ def calibration():
 
 
 def test_json_has_the_stated_keys(calibration, tmp_path):
-    write_json(tmp_path / "a.json", as_document(calibration))
+    write_json(tmp_path / "a.json", calibration.to_dict())
     document = json.loads((tmp_path / "a.json").read_text())
     assert document["schema"] == "optshape/camera-calibration/1"
     assert np.allclose(document["T_camera_lidar"], calibration.transform("cam", "lidar")[0])
@@ -70,7 +71,7 @@ def test_camchain_refuses_what_kalibr_has_not(calibration):
 
 
 def test_json_says_what_the_targets_and_lenses_are(calibration):
-    document = as_document(calibration)
+    document = calibration.to_dict()
     (shape,) = document["targets"]
     assert (shape["target"], shape["lidar"], shape["agrees"]) == ("board", "lidar", True)
     assert np.shape(shape["measured_sides_m"]) == np.shape(shape["sides_m"]) == np.shape(shape["sigma_m"]) == (4,)

@@ -95,7 +95,7 @@ def test_projection_factors_are_opencvs_model(camera):
     values.insert(S(1), gtsam.Pose3())
     for k, point in enumerate(points):
         values.insert(P(k), point)
-    compiled = CompiledCamera.of(camera, False)
+    compiled = CompiledCamera.of(camera)
     factors = compiled.factors(image, W(0), S(1), [P(k) for k in range(len(points))], None)
     # Freed of distortion, a pixel's error is what it was to first order only.
     tolerance = 0.02 if compiled.ideal else 1e-9
@@ -109,7 +109,7 @@ def test_refined_intrinsics_derivatives(camera):
     T = T_CAMERA_LIDAR @ placement(np.random.default_rng(3))
     points = chessboard_points(BOARD.chessboard)[:1]
     image = ImagePoints.of_pattern(points, project(camera, points @ T[:3, :3].T + T[:3, 3]), 0.2)
-    compiled = CompiledCamera.of(camera, True)
+    compiled = CompiledCamera.of(camera)
     values = gtsam.Values()
     values.insert(W(0), gtsam.Pose3(inverse(T)))
     values.insert(S(1), gtsam.Pose3())
@@ -125,4 +125,4 @@ def test_refined_intrinsics_derivatives(camera):
 
 def test_longer_distortion_models_are_not_refined():
     with pytest.raises(InputError, match="5 distortion terms"):
-        CompiledCamera.of(RATIONAL, True)
+        CompiledCamera.of(RATIONAL).check_refinable()

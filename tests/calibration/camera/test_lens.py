@@ -58,13 +58,14 @@ def test_calibration_refines_what_the_images_contradict(views):
     kept = calibrate(with_camera(views, BENT), Unknowns(intrinsics=False))
     assert (right.refined, refined.refined, kept.refined) == (set(), {"cam"}, set())
     assert right.warnings == ()
-    assert "the lens was refined" in refined.warnings[-1]
+    assert "T_camera_lidar belongs to the refined lens" in refined.warnings[-1]
     assert "calibrate the camera again" in kept.warnings[-1]
 
     def centre_mm(calibration):
         return calibration.cross_validations[0].means()["mean_centre_error_mm"]
 
-    assert centre_mm(refined) < 1.1 * centre_mm(right)
+    assert centre_mm(refined) < 1.25 * centre_mm(right)  # that the lens is not known costs something
     assert centre_mm(refined) < centre_mm(kept)
-    # The principal point is nobody's to move: the extrinsic belongs to the one that is in use.
-    np.testing.assert_allclose(refined.rig.cameras["cam"].K[:2, 2], BENT.K[:2, 2], atol=0.01)
+    # The principal point is refined too; here it was right, and stays so within a few pixels.
+    np.testing.assert_allclose(refined.rig.cameras["cam"].K[:2, 2], BENT.K[:2, 2], atol=6.0)
+    np.testing.assert_allclose(refined.given.cameras["cam"].K, BENT.K)

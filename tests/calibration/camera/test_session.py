@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from optshape_graph.calibration.camera import calibrate_camera
 from optshape_graph.calibration.camera.calibrate import calibrate
 from optshape_graph.calibration.camera.session import read_views
 from optshape_graph.errors import InputError
@@ -35,7 +36,7 @@ def test_files_to_extrinsic(session):
     assert steps[-1] == (2 * SESSION_VIEWS, 2 * SESSION_VIEWS)
     assert [view.scan_name for view in views] == [f"{k}.pcd" for k in range(SESSION_VIEWS)]
     result = calibrate(views)
-    T = result.transform("front", "vlp16")[0]
+    T = result.transform("front", "vlp16", result.corrected)[0]
     assert np.linalg.norm(T[:3, 3] - T_CAMERA_LIDAR[:3, 3]) < 0.03
 
 
@@ -100,13 +101,14 @@ def test_tags_in_a_target_file_read_back(tmp_path):
 
 @needs_shared
 def test_real_session():
-    """Leave-one-out over the 20 views: the peer's own LiDAR centres leave 8.4 mm by the best rigid fit."""
-    result = calibrate(read_views(load_session(SHARED / "data/camera/session.yaml")))
+    """Leave-one-out over the 20 views, clouds as they come; the peer's LiDAR centres leave 8.4 mm by a rigid fit."""
+    result = calibrate_camera(SHARED / "data/camera/session.yaml")
     assert all(view.used for view in result.views)
     means = result.cross_validations[0].means()
-    assert means["mean_centre_error_mm"] < 6.0
-    assert means["mean_absolute_plane_offset_mm"] < 4.0
-    assert abs(means["mean_signed_plane_offset_mm"]) < 1.5
+    assert means["mean_centre_error_mm"] <= 8.0
+    assert means["mean_absolute_plane_offset_mm"] <= 3.0
+    assert abs(means["mean_signed_plane_offset_mm"]) <= 2.0
+    assert result.trusted
     bias, sigma = result.range_bias("vlp16")
     assert -0.03 < bias < 0.0  # its authors set -30 mm; the centres ask for -20, the planes for less
     assert sigma < 0.01

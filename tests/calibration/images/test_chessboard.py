@@ -3,10 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from optshape_graph.calibration.camera.sightings import TargetInImage
 from optshape_graph.calibration.images.chessboard import chessboard_points, find_chessboard
 from optshape_graph.calibration.images.planar_pose import planar_poses
-from optshape_graph.calibration.images.reading import ImageTask, find_targets, read_grey
+from optshape_graph.calibration.images.reading import ImageTask, TargetInImage, find_targets, read_grey
 from optshape_graph.errors import EstimationError
 from optshape_graph.evaluation.rendering import render_target
 from optshape_graph.io import load_session

@@ -4,10 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from optshape_graph.calibration.camera.sightings import TargetInImage
 from optshape_graph.calibration.images.planar_pose import planar_poses
 from optshape_graph.calibration.images.projection import project
-from optshape_graph.calibration.images.reading import ImageTask, find_target, find_targets
+from optshape_graph.calibration.images.reading import ImageTask, TargetInImage, find_target, find_targets
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.evaluation.rendering import render_target
 from tests.calibration.camera.support import BOARD, FISHEYE, PINHOLE, T_CAMERA_LIDAR, placement

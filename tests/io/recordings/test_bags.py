@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from optshape_graph import InputError, SensorModel
+from optshape_graph.io import read_scan
 from optshape_graph.io.recordings import Recording
 from tests.io.recordings.writing import LAYOUTS, STORAGES, layout, maker, points, write_bag
 from tests.shared import SHARED, needs_shared
@@ -400,3 +401,57 @@ def test_what_is_before_a_damaged_chunk_is_read_and_the_rest_is_counted(tmp_path
     stream = Recording(path).scans()
     assert [scan.stamp for scan in stream] == [T0]
     assert stream.skipped == {"recording damaged from there on": 2}
+
+
+@pytest.mark.parametrize("storage", ["ros1", "mcap"])
+def test_a_path_is_a_trajectory(tmp_path, storage):
+    make = maker(storage)
+    T = np.tile(np.eye(4), (4, 1, 1))
+    T[:, 0, 3] = np.arange(4)
+    poses = [make.pose_stamped(100.0 + k, T[k]) for k in range(4)]
+    path = make["nav_msgs/msg/Path"]
+    items = [("/path", path(make.header(100.0 + k), poses[: k + 1])) for k in range(4)]
+    stream = Recording(write_bag(tmp_path, storage, items)).poses("/path")
+    found = list(stream)
+    assert not stream.skipped
+    assert [pose.stamp for pose in found] == [100.0, 101.0, 102.0, 103.0]
+    np.testing.assert_allclose([pose.value for pose in found], T, atol=1e-12)
+    plan = [("/path", path(make.header(100.0), [make.pose_stamped(0.0, t) for t in T]))]
+    (tmp_path / "plan").mkdir()
+    stream = Recording(write_bag(tmp_path / "plan", storage, plan)).poses("/path")
+    assert list(stream) == []
+    assert stream.skipped == {"path without stamps": 1}
+
+
+def test_organised_clouds_without_a_row_step(tmp_path):
+    make = maker("mcap")
+    message = make.cloud(100.0, points("ouster", n=8), height=4)
+    message.row_step = 0
+    stream = Recording(write_bag(tmp_path, "mcap", [("/points", message)])).scans()
+    assert len(list(stream)) == 1
+    assert not stream.skipped
+
+
+def test_livox_in_every_form_is_the_same_scan(tmp_path):
+    made = points("livox", n=12)
+    made["tag"][:] = 0x10
+    made["tag"][3] = 0x11  # marked as noise
+    made["line"] = np.arange(12) % 4
+    made["timestamp"] = T0 * 1e9 + 1000.0 * np.arange(12)
+    custom = np.zeros(12, [("offset_time", "u4"), ("x", "f4"), ("y", "f4"), ("z", "f4"), ("reflectivity", "u1"),
+                           ("tag", "u1"), ("line", "u1")])  # fmt: skip
+    for name in ("x", "y", "z", "tag", "line"):
+        custom[name] = made[name]
+    custom["offset_time"] = 1000 * np.arange(12)
+    make = maker("mcap")
+    items = [("/cloud", make.cloud(T0, made)), ("/custom", make.livox(T0, custom))]
+    recording = Recording(write_bag(tmp_path, "mcap", items))
+    cloud, message = (next(iter(recording.scans(name))).value for name in ("/cloud", "/custom"))
+    from optshape_graph.io.clouds.pcd import write_pcd
+
+    write_pcd(tmp_path / "a.pcd", {name: custom[name] for name in ("x", "y", "z", "tag", "line", "offset_time")})
+    for scan in (cloud, message, read_scan(tmp_path / "a.pcd")):
+        assert scan.ring is None
+        np.testing.assert_allclose(scan.points, cloud.points, atol=1e-6)
+        np.testing.assert_allclose(scan.time, 1e-6 * np.delete(np.arange(12), 3), atol=3e-7)  # float64 of 1.7e18 ns
+        assert len(scan) == 11

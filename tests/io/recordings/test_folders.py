@@ -138,3 +138,39 @@ def test_a_folder_without_timestamps_has_no_topics(tmp_path):
     clouds(tmp_path)
     with pytest.raises(InputError, match="no topic of point clouds; it has none"):
         Recording(tmp_path).scans()
+
+
+def test_kitti_s_odometry_keeps_its_stamps_above(tmp_path):
+    folder = tmp_path / "00"
+    (folder / "velodyne").mkdir(parents=True)
+    for k in range(3):
+        points = np.array([[5, 0.1 * k, 0.2, 0.5], [6, 0.3, 0.1, 0.2]], "<f4")
+        (folder / "velodyne" / f"{k:06d}.bin").write_bytes(points.tobytes())
+    (folder / "times.txt").write_text("0.0\n1.036e-01\n2.07e-01\n")
+    recording = Recording(folder)
+    assert [(topic.name, topic.kind, topic.count) for topic in recording.topics] == [("velodyne", "scan", 3)]
+    scans = list(recording.scans())
+    assert [scan.stamp for scan in scans] == [0.0, 0.1036, 0.207]
+    assert scans[2].value.points[0, 1] == pytest.approx(0.2, abs=1e-7)
+
+
+def test_a_video_is_a_topic_of_images(tmp_path):
+    cv2 = pytest.importorskip("cv2")
+    (tmp_path / "front").mkdir()
+    writer = cv2.VideoWriter(str(tmp_path / "front" / "a.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
+    for k in range(4):
+        writer.write(np.full((48, 64, 3), 50 * k, np.uint8))
+    writer.release()
+    (tmp_path / "front" / "timestamps.txt").write_text("1\n1.1\n1.2\n1.3\n")
+    recording = Recording(tmp_path)
+    assert [(topic.name, topic.kind, topic.count) for topic in recording.topics] == [("front", "image", 4)]
+    images = list(recording.images())
+    assert [image.stamp for image in images] == [1, 1.1, 1.2, 1.3]
+    for k, image in enumerate(images):
+        assert image.value.pixels().mean() == pytest.approx(50 * k, abs=3)  # of a compressed film
+    (tmp_path / "front" / "timestamps.txt").write_text("1\n1.1\n")
+    with pytest.raises(InputError, match="2 stamps for the 3 frames"):
+        list(Recording(tmp_path).images())
+    (tmp_path / "front" / "a.avi").write_text("#EXTM3U\nhttp://elsewhere/a.ts\n")
+    with pytest.raises(InputError, match="not a video; expected MP4, AVI or MKV"):
+        list(Recording(tmp_path).images())

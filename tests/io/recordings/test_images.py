@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
 
-from optshape_graph import InputError
-from optshape_graph.io.recordings import Recording
-from tests.io.recordings.writing import maker, write_bag
+from optshape_graph import InputError, SensorModel
+from optshape_graph.camera import CameraIntrinsics
+from optshape_graph.io import load_target
+from optshape_graph.io.recordings import Recording, extract_session
+from tests.io.recordings.writing import maker, points, write_bag
 
 cv2 = pytest.importorskip("cv2")
 T0 = 100.0
@@ -113,3 +115,71 @@ def test_a_camera_that_is_not_calibrated_is_said(tmp_path):
     recording = Recording(write_bag(tmp_path, "mcap", [("/cam/camera_info", info)]))
     with pytest.raises(InputError, match="no usable camera parameters; 1 x camera not calibrated"):
         recording.camera_of("/cam/image_raw")
+
+
+@pytest.mark.parametrize("storage", ROS)
+def test_encodings_of_16_bits_and_of_brightness_and_colour(tmp_path, storage):
+    make, bgr = maker(storage), picture()
+    grey = bgr[:, :, 0]
+    twelve = grey.astype(np.uint16) << 4  # a camera of 12 bits; its brightest pixel uses them all
+    twelve[0, 0] = 4095
+    yuv = cv2.cvtColor(bgr, cv2.COLOR_BGR2YUV_I420)  # brightness, then u, then v, each of a quarter
+    y, u, v = yuv[:48], yuv[48:60].reshape(24, 32), yuv[60:72].reshape(24, 32)
+    nv12 = np.vstack([y, np.dstack([u, v]).reshape(24, 64)])
+    both = np.repeat(np.dstack([u, v])[:, :, None], 1, axis=2)
+    uyvy = np.zeros((48, 64, 2), np.uint8)
+    uyvy[:, :, 1] = y
+    uyvy[:, 0::2, 0], uyvy[:, 1::2, 0] = np.repeat(both[:, :, 0, 0], 2, axis=0), np.repeat(both[:, :, 0, 1], 2, axis=0)
+    sixteen = dict.fromkeys(("mono16", "16UC1"), twelve)
+    sixteen |= {f"bayer_{p}16": mosaic(bgr, p).astype(np.uint16) << 8 for p in ("rggb", "bggr", "gbrg", "grbg")}
+    sixteen |= {"bgr16": bgr.astype(np.uint16) << 8, "rgb16": bgr[:, :, ::-1].astype(np.uint16) << 8}
+    sent = {name: rows.view(np.uint8).reshape(48, -1) for name, rows in
+            ((n, np.ascontiguousarray(r)) for n, r in sixteen.items())}  # fmt: skip
+    items = []
+    for k, (name, rows) in enumerate(sent.items()):
+        message = make.image(T0 + k, rows, name)
+        message.width = 64
+        items.append(("/image", message))
+    colours = {"nv12": nv12, "nv21": np.vstack([y, np.dstack([v, u]).reshape(24, 64)]),
+               "yuv422": uyvy.reshape(48, 128), "uyvy": uyvy.reshape(48, 128),
+               "yuv422_yuy2": uyvy[:, :, ::-1].reshape(48, 128), "yuyv": uyvy[:, :, ::-1].reshape(48, 128)}  # fmt: skip
+    for name, rows in colours.items():
+        message = make.image(T0 + len(items), rows, name)
+        message.height, message.width = 48, 64
+        items.append(("/image", message))
+    stream = Recording(write_bag(tmp_path, storage, items)).images()
+    found = list(stream)
+    assert not stream.skipped
+    for name, image in zip((*sent, *colours), found, strict=True):
+        pixels = image.value.pixels().astype(int)
+        assert pixels.shape[:2] == (48, 64)
+        if name in ("mono16", "16UC1"):
+            assert np.array_equal(pixels[1:], grey[1:])
+        elif name.startswith("bayer"):
+            assert np.abs(pixels - bgr)[2:-2, 2:-2].max() <= 2
+        elif name in sent:
+            assert np.array_equal(pixels, bgr)
+        else:  # colours of four pixels are one, and rounded twice
+            assert np.abs(pixels - bgr).max() <= 10
+
+
+def test_large_bytes_first(tmp_path):
+    make, grey = maker("mcap"), picture()[:, :, 0]
+    message = make.image(T0, (grey.astype(">u2") << 8).astype(">u2").view(np.uint8).reshape(48, -1), "mono16")
+    message.width, message.is_bigendian = 64, 1
+    image = next(iter(Recording(write_bag(tmp_path, "mcap", [("/image", message)])).images()))
+    assert np.array_equal(image.value.pixels(), grey)
+
+
+def test_a_session_without_a_usable_image_says_why(tmp_path):
+    make = maker("mcap")
+    depth = make.image(T0, picture()[:, :, 0], "mono8")
+    depth.encoding = "32FC1"
+    items = [("/points", make.cloud(T0, points("velodyne", n=64))), ("/image", depth)]
+    recording = Recording(write_bag(tmp_path, "mcap", items))
+    camera = CameraIntrinsics("c", "pinhole", 64, 48, np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]))
+    with pytest.raises(InputError, match=r"/image: no usable image: 1 x image encoding that is not read \('32FC1'"):
+        extract_session(
+            recording, tmp_path / "s", sensor=SensorModel(np.radians([-6.0, -2, 2, 6])),
+            targets=[load_target("paper")], camera=camera,
+        )  # fmt: skip

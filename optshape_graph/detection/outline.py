@@ -1,0 +1,221 @@
+"""Lay a target's outline over the ends of rings, in their plane: a quick look before the pose is estimated, and after.
+
+The quick look tries every turn of the outline, with the centre of its area where the rings' area has its own. The best
+are worked out by Gauss-Newton steps with weights that let stray ends go (Cauchy's, narrowing). Beside turn and place,
+a common shift across the edges is fitted: how much of a beam must hit an edge, and how much a bright target blooms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph.detection.segments import OrderedScan, ring_ends
+from optshape_graph.pose.association import ReturnsPlane
+from optshape_graph.target import Target
+
+_ANGLES = np.linspace(0.0, 2 * np.pi, 36, endpoint=False)
+_STARTS = 4  # turns that are worked out
+_STEPS = 6  # of Gauss and Newton, from each
+_MOST_RINGS = 32  # that a quick look needs, evenly over all
+_STRAYS = 0.1  # share of ends that lie anywhere: mixed, lost, or on what touches the target
+_PLACE, _SHIFT = 0.2, 0.03  # prior standard deviations of the place and of the common shift, in circumradii
+_FITTED = 4  # numbers that are fitted: turn, place, shift
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Boundary(Value):
+    """Where a surface ends, by the ends of its rings.
+
+    Attributes:
+        plane: of the surface.
+        at: (M, 2) where it is expected to end beyond each ring end, metres, along the plane's axes.
+        sd: (M,) standard deviation of that, metres.
+    """
+
+    plane: ReturnsPlane
+    at: Floats
+    sd: Floats
+
+    @classmethod
+    def of(cls, scan: OrderedScan, rows: Ints, plane: ReturnsPlane, hidden: Bools | None = None) -> Boundary:
+        """Look at the ends of the rings on a surface.
+
+        It ends half a step beyond a ring's last return, give or take that and the beam.
+
+        Args:
+            scan: the ordered scan.
+            rows: (N,) of it, the surface's returns.
+            plane: through them.
+            hidden: (2 R,) ends that say nothing, in the order of `ring_ends`; None: all say something.
+        """
+        ends = ring_ends(scan, rows)
+        if hidden is not None:
+            side, ends = np.repeat([-0.5, 0.5], len(ends) // 2)[~hidden], ends[~hidden]
+        else:
+            n_rings = len(ends) // 2
+            picked = np.unique(np.linspace(0, n_rings - 1, min(n_rings, _MOST_RINGS)).round().astype(int))
+            side, ends = np.repeat([-0.5, 0.5], len(picked)), np.concatenate([ends[picked], ends[n_rings + picked]])
+        points, normal = scan.points[ends], plane.axes[0]
+        outward = np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
+        outward *= (side * scan.resolution.step)[:, None]
+        outward -= points * ((outward @ normal) / (points @ normal))[:, None]
+        beam = scan.resolution.beam * np.linalg.norm(points, axis=1)
+        variance = (outward**2).sum(axis=1) / 3.0 + beam**2 / 3.0 + scan.resolution.range_noise**2
+        return cls(plane, (points + outward - plane.centre) @ plane.axes[1:].T, np.sqrt(variance))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OutlineFit(Value):
+    """A target's outline laid over a boundary.
+
+    Attributes:
+        T_lidar_target: (4, 4).
+        shift: of all ends across the edges, metres: outwards where the target blooms.
+        edged: share of the ends within two standard deviations of the outline.
+        log_odds: of this shape against any other of its size, whose ends lie anywhere within a fifth of it.
+    """
+
+    T_lidar_target: Floats
+    shift: float
+    edged: float
+    log_odds: float
+
+
+def first_look(boundary: Boundary, centroid: Floats, target: Target) -> OutlineFit:
+    """Lay a target's outline over a boundary, turned any way.
+
+    Args:
+        boundary: of a surface.
+        centroid: (2,) of the surface's area, along the plane's axes, metres.
+        target: the template.
+    """
+    start = np.tile(_centroid(target), (len(_ANGLES), 1))
+    off = _outside(_ANGLES, start, boundary.at - centroid, target)[0]
+    rough = np.log1p((off / (0.1 * target.circumradius)) ** 2).sum(axis=1)
+    lowest = np.flatnonzero((rough <= np.roll(rough, 1)) & (rough <= np.roll(rough, -1)))
+    angle = _ANGLES[lowest[np.argsort(rough[lowest])[:_STARTS]]]
+    return _work_out(boundary, centroid, target, angle, start[: len(angle)], 0.1)
+
+
+def look_again(boundary: Boundary, target: Target, T_lidar_target: Floats) -> OutlineFit:
+    """Lay a target's outline over a boundary, at a pose (4, 4) and near it."""
+    left, up = boundary.plane.axes[1:]
+    y, z = T_lidar_target[:3, 1], T_lidar_target[:3, 2]
+    middle = boundary.at.mean(axis=0)
+    place = boundary.plane.centre + middle @ boundary.plane.axes[1:] - T_lidar_target[:3, 3]
+    angle = np.arctan2(z @ left - y @ up, y @ left + z @ up)
+    return _work_out(boundary, middle, target, np.array([angle]), np.array([[place @ y, place @ z]]), 0.02)
+
+
+def _outside(angle: Floats, t: Floats, q: Floats, target: Target) -> tuple[Floats, Floats, Floats]:
+    """Distance (K, M) of points q (M, 2) outside the outline, the side's normal (K, M, 2), and the points turned."""
+    turned = _turned(angle, q)
+    beyond = (turned + t[:, None]) @ target.normals.T - target.offsets
+    side = beyond.argmax(axis=-1)
+    return np.take_along_axis(beyond, side[..., None], axis=-1)[..., 0], target.normals[side], turned
+
+
+def _work_out(
+    boundary: Boundary, middle: Floats, target: Target, angle: Floats, start: Floats, width: float
+) -> OutlineFit:
+    """Work out the best of some starts.
+
+    Args:
+        boundary: of a surface.
+        middle: (2,) that is turned about, metres.
+        target: the template.
+        angle: (K,) turns, rad.
+        start: (K, 2) where the middle is in the target's frame, metres.
+        width: of the weights at first, in circumradii.
+    """
+    size, sd, q = target.circumradius, boundary.sd, boundary.at - middle
+    t, shift = start, np.zeros(len(angle))
+    prior = np.diag([0.0, (_PLACE * size) ** -2, (_PLACE * size) ** -2, (_SHIFT * size) ** -2])
+    for step in range(_STEPS):
+        off, normal, turned = _outside(angle, t, q, target)
+        off = off - shift[:, None]
+        about = normal[..., 1] * turned[..., 0] - normal[..., 0] * turned[..., 1]
+        J = np.concatenate([about[..., None], normal, -np.ones((*off.shape, 1))], axis=-1)
+        weighted = J / (np.maximum(sd, width * size * 0.4**step) ** 2 + off**2)[..., None]
+        drift = np.column_stack([np.zeros(len(angle)), t - start, shift])
+        gradient = (weighted * off[..., None]).sum(axis=1) + drift @ prior
+        information = np.swapaxes(weighted, 1, 2) @ J + prior + 1e-9 * np.eye(_FITTED)
+        change = np.linalg.solve(information, -gradient[..., None])[..., 0]
+        angle, t, shift = angle + change[:, 0], t + change[:, 1:3], shift + change[:, 3]
+    off = _outside(angle, t, q, target)[0] - shift[:, None]
+    log_odds = _log_odds(off, sd, size, _FITTED) - 0.5 * (shift / (_SHIFT * size)) ** 2
+    best = int(log_odds.argmax())
+    axes = np.eye(3)
+    axes[1:, 1:] = [[np.cos(angle[best]), -np.sin(angle[best])], [np.sin(angle[best]), np.cos(angle[best])]]
+    plane, T = boundary.plane, np.eye(4)
+    T[:3, :3] = (axes @ plane.axes).T
+    T[:3, 3] = plane.centre + middle @ plane.axes[1:] - T[:3, 1:3] @ t[best]
+    return OutlineFit(T, float(shift[best]), float((np.abs(off[best]) < 2.0 * sd).mean()), float(log_odds[best]))
+
+
+def rectangle_log_odds(boundary: Boundary, size: float) -> float:
+    """Return the log odds of a rectangle of any size, as `OutlineFit.log_odds` of a target.
+
+    Most flat surfaces are rectangles: faces of boxes, doors, signs, screens.
+
+    Args:
+        boundary: of a surface.
+        size: of the target that it is compared with: its circumradius, metres.
+    """
+    q, sd = boundary.at - np.median(boundary.at, axis=0), boundary.sd
+    extent = float(np.linalg.norm(q, axis=1).max())
+    # Turned any way, its sides are where most ends lie; the best turns are worked out, turn and sides being free.
+    angle = np.linspace(0.0, np.pi / 2, 18, endpoint=False)
+    turned = _turned(angle, q)
+    inner, outer = np.percentile(turned, [6.0, 94.0], axis=1)
+    off = np.abs(np.concatenate([turned - inner[:, None], outer[:, None] - turned], axis=-1)).min(axis=-1)
+    start = np.argsort(np.log1p((off / (0.1 * extent)) ** 2).sum(axis=1))[:_STARTS]
+    fitted = np.column_stack([angle, outer, -inner])[start]
+    for step in range(_STEPS):
+        off, side, turned = _outside_rectangle(fitted, q)
+        normal = _RIGHT_ANGLES[side]
+        about = normal[..., 1] * turned[..., 0] - normal[..., 0] * turned[..., 1]
+        J = np.concatenate([about[..., None], -np.eye(4)[side]], axis=-1)
+        weighted = J / (np.maximum(sd, 0.1 * size * 0.4**step) ** 2 + off**2)[..., None]
+        information = np.swapaxes(weighted, 1, 2) @ J + np.eye(5) * (0.5 * size) ** -2
+        fitted = fitted - np.linalg.solve(information, (weighted * off[..., None]).sum(axis=1)[..., None])[..., 0]
+    return float(_log_odds(_outside_rectangle(fitted, q)[0], sd, size, 5).max())
+
+
+_RIGHT_ANGLES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+
+
+def _outside_rectangle(fitted: Floats, q: Floats) -> tuple[Floats, Ints, Floats]:
+    """Distance (K, M) of points outside rectangles (K, 5) of a turn and four sides, the side's number, the points."""
+    turned = _turned(fitted[:, 0], q)
+    beyond = turned @ _RIGHT_ANGLES.T - fitted[:, None, 1:]
+    side = beyond.argmax(axis=-1)
+    return np.take_along_axis(beyond, side[..., None], axis=-1)[..., 0], side, turned
+
+
+def _turned(angle: Floats, q: Floats) -> Floats:
+    """(K, M, 2) points (M, 2) turned by angles (K,)."""
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    return np.stack([c * q[:, 0] - s * q[:, 1], s * q[:, 0] + c * q[:, 1]], axis=-1)
+
+
+def _log_odds(off: Floats, sd: Floats, size: float, n_fitted: int) -> Floats:
+    """(K,) log odds of shapes, the ends being off by (K, M) metres, against one whose ends lie anywhere in reach.
+
+    What is fitted takes its share of the odds.
+    """
+    reach = 0.4 * size
+    fits = np.exp(-0.5 * (off / sd) ** 2) * reach / (np.sqrt(2 * np.pi) * sd)
+    cost = 0.5 * n_fitted * np.log(max(len(sd) / n_fitted, 1.0) * reach**2 / (12.0 * np.mean(sd**2)))
+    return np.asarray(np.log((1.0 - _STRAYS) * fits + _STRAYS).sum(axis=1) - cost)
+
+
+def _centroid(target: Target) -> Floats:
+    """(2,) centroid of a target's area, metres."""
+    polygon = target.polygon
+    following = np.roll(polygon, -1, axis=0)
+    cross = polygon[:, 0] * following[:, 1] - following[:, 0] * polygon[:, 1]
+    return np.asarray(cross @ (polygon + following) / (6.0 * target.area))

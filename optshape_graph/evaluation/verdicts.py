@@ -1,0 +1,219 @@
+"""What a result means, in one sentence that a technician can act on, and what to do next.
+
+Verdicts are made of a result's plain form (`to_dict`, or its JSON file), so that a command and a report say the same.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from optshape_graph.errors import InputError
+
+Level = Literal["Good", "Usable with care", "Not usable"]
+
+SPARSE = 5
+"""Fewer scans or views than this leave nothing to check the result with."""
+
+FEW_RETURNS = 30
+"""Returns on a target below which more of them are the first thing to ask for."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a result means.
+
+    Attributes:
+        level: whether to use it.
+        sentence: why, with the numbers that say so.
+        advice: what to do next, most useful first; may be empty.
+    """
+
+    level: Level
+    sentence: str
+    advice: tuple[str, ...] = ()
+
+    @property
+    def line(self) -> str:
+        """Level, reason and what to do first, in one line."""
+        return f"{self.level}: {self.sentence}" + (f"; {self.advice[0]}" if self.advice else "")
+
+
+def verdict_of(document: Mapping[str, Any]) -> Verdict:
+    """Return the verdict on a result.
+
+    Args:
+        document: what `optshape estimate`, `detect`, `calibrate` or `map` writes as JSON.
+
+    Raises:
+        InputError: another form.
+    """
+    kind = kind_of(document)
+    if kind not in _JUDGES:
+        raise InputError(f"'{document.get('schema')}': expected the result of {', '.join(sorted(_JUDGES))}")
+    return _JUDGES[kind](document)
+
+
+def kind_of(document: Mapping[str, Any]) -> str:
+    """Return KIND of a document's `optshape/KIND/1`."""
+    return str(document.get("schema", "")).removeprefix("optshape/").partition("/")[0]
+
+
+def _estimate(document: Mapping[str, Any]) -> Verdict:
+    scans = document["scans"]
+    ok = [scan for scan in scans if scan["status"] == "ok"]
+    sizes = _sizes(ok)
+    reasons = Counter(
+        str(flag["kind"])
+        for scan in scans
+        for flag in (scan.get("fit") or {}).get("flags", ())
+        if scan["status"] != "ok"
+    )
+    advice = []
+    if reasons:
+        kind, count = reasons.most_common(1)[0]
+        advice.append(f"look at '{kind}' first, which makes {count} of the scans doubtful")
+    counted = [scan for scan in scans if scan["status"] != "ok" and scan["n_returns"] is not None]
+    few = [scan for scan in counted if scan["n_returns"] < FEW_RETURNS]
+    if few:
+        advice.append(f"{len(few)} scans have fewer than {FEW_RETURNS} returns: nearer, or a larger target")
+    if any(scan["status"] == "ambiguous" for scan in scans):
+        advice.append("where a scan is ambiguous take a nearer one, a less symmetric target, or add scans of the place")
+    return _of_share(len(ok), len(scans), "scans have a pose to be relied on", sizes, advice)
+
+
+def _detect(document: Mapping[str, Any]) -> Verdict:
+    scans = document["scans"]
+    found = [target for scan in scans for target in scan.get("targets", ())]
+    ok = [target for target in found if target["status"] == "ok"]
+    empty = [scan["scan"] for scan in scans if not scan.get("targets")]
+    advice = []
+    if empty:
+        why = Counter(
+            str(rejected.get("reason", "")).split(":")[0]
+            for scan in scans
+            if not scan.get("targets")
+            for rejected in scan.get("rejected", ())
+        )
+        said = f" (mostly rejected: {why.most_common(1)[0][0]})" if why else ""
+        advice.append(f"nothing was found in {len(empty)} of {len(scans)} scans{said}")
+    if len(ok) < len(found):
+        advice.append(f"{len(found) - len(ok)} targets are doubtful: their reasons are in the table")
+    if not found:
+        return Verdict("Not usable", f"no target was found in {len(scans)} scans", tuple(advice))
+    return _of_share(
+        len(ok), len(found), f"targets found in {len(scans)} scans are to be relied on", _sizes(ok), advice
+    )
+
+
+def _mocap(document: Mapping[str, Any]) -> Verdict:
+    mean, count = document["mean"], len(document["scans"])
+    sentence = (
+        f"{count} scans agree with the markers to {1e3 * mean['e_t_m']:.1f} mm and {mean['e_r_deg']:.2f} deg, each "
+        "compared in a frame fitted to the others"
+    )
+    advice = [f"{item['scan']} was left out: {item['reason']}" for item in document.get("left_out", ())]
+    if count < SPARSE:
+        advice.insert(0, f"take at least {SPARSE} scans, at several ranges and tilts")
+    level = _level(str(document.get("verdict", "to be trusted")), document.get("warnings", ()), count)
+    return Verdict(level, sentence, (*advice, *map(str, document.get("warnings", ()))))
+
+
+def _camera(document: Mapping[str, Any]) -> Verdict:
+    left_out = document["cross_validation"]
+    used = [view for view in document["views"] if view["used"]]
+    ranges = _ranges(used)
+    sentence = (
+        f"{len(used)} of {len(document['views'])} views agree, {left_out['mean_centre_error_mm']:.1f} mm and "
+        f"{left_out['mean_normal_error_deg']:.2f} deg on views left out{ranges}"
+    )
+    advice = []
+    directions = document.get("directions") or [{}]
+    if directions[0].get("direction"):
+        sentence += f"; least known: {directions[0]['direction']} ({1e3 * directions[0]['sigma_m']:.1f} mm sd)"
+    place = document.get("next_placement")
+    if place:
+        x, y, z = (row[3] for row in place["T_lidar_target"][:3])
+        advice.append(
+            f"add a view with the target at ({x:.1f}, {y:.1f}, {z:.1f}) m, turned {place['yaw_deg']:+.0f} and tilted "
+            f"{place['pitch_deg']:+.0f} deg"
+        )
+    advice += [f"{view['scan']} was not used: {view['reason']}" for view in document["views"] if not view["used"]]
+    level = _level(str(document.get("verdict", "to be trusted")), document.get("warnings", ()), len(used))
+    return Verdict(level, sentence, (*advice, *map(str, document.get("warnings", ()))))
+
+
+def _map(document: Mapping[str, Any]) -> Verdict:
+    landmarks = document["landmarks"]
+    if not landmarks:
+        return Verdict("Not usable", "the map has no landmark", ("detect the targets in single scans first",))
+    sd = [1e3 * np.sqrt(np.diag(np.array(one["covariance"]))[3:].max()) for one in landmarks if "covariance" in one]
+    once = [one["id"] for one in landmarks if one.get("observations", 2) == 1]
+    known = (
+        f", known to {np.median(sd):.1f} mm (median of the largest standard deviation), the worst to {max(sd):.1f} mm"
+    )
+    poses = len(document.get("trajectory", ()))
+    sentence = f"{len(landmarks)} landmarks{known if sd else ''}; {poses} poses of the trajectory"
+    advice = (
+        [f"{len(once)} landmarks were seen in one scan only ({', '.join(once[:3])}): drive past them again"]
+        if once
+        else []
+    )
+    problems = [str(problem) for problem in (document.get("report") or {}).get("problems", ())]
+    level: Level = "Not usable" if problems else "Usable with care" if once else "Good"
+    return Verdict(level, sentence, (*problems, *advice))
+
+
+def _choice(document: Mapping[str, Any]) -> Verdict:
+    chosen = document["chosen"]
+    sentence = (
+        f"{chosen['target']} of {chosen['area_m2']:.2f} m2 does it at {document['range_m']:g} m: {chosen['ok']} of "
+        f"{document['scans']} simulated scans ok, 95 % within {chosen['e_r_95_deg']:.2f} deg and "
+        f"{1e3 * chosen['e_t_95_m']:.0f} mm"
+    )
+    height = chosen["centre_above_sensor_m"]
+    side = "above" if height >= 0 else "below"
+    return Verdict("Good", sentence, (f"hang its origin {abs(height):.2f} m {side} the sensor",))
+
+
+def _of_share(good: int, count: int, what: str, sizes: str, advice: list[str]) -> Verdict:
+    level: Level = "Good" if count and good == count else "Usable with care" if good > count / 2 else "Not usable"
+    return Verdict(level, f"{good} of {count} {what}{sizes}", tuple(advice))
+
+
+def _level(said: str, warnings: Any, count: int) -> Level:
+    if "not to be trusted" in said:
+        return "Not usable"
+    return "Usable with care" if len(warnings) or count < SPARSE else "Good"
+
+
+def _sizes(entries: list[Any]) -> str:
+    """Ranges and standard deviations of poses, in words; empty without poses."""
+    if not entries:
+        return ""
+    T, C = (np.array([entry[key] for entry in entries]) for key in ("T_lidar_target", "covariance"))
+    distances = np.linalg.norm(T[:, :3, 3], axis=1)
+    variances = np.diagonal(C, axis1=1, axis2=2)
+    return (
+        f", at {distances.min():.1f} to {distances.max():.1f} m; standard deviations of up to "
+        f"{1e3 * np.sqrt(variances[:, 3:].max()):.1f} mm and {np.degrees(np.sqrt(variances[:, :3].max())):.2f} deg"
+    )
+
+
+def _ranges(views: list[Any]) -> str:
+    distances = [view["distance_m"] for view in views if view.get("distance_m")]
+    return f"; range {min(distances):.0f} to {max(distances):.0f} m covered" if distances else ""
+
+
+_JUDGES: dict[str, Callable[[Mapping[str, Any]], Verdict]] = {
+    "estimate": _estimate,
+    "detect": _detect,
+    "mocap": _mocap,
+    "camera-calibration": _camera,
+    "map": _map,
+    "design-choice": _choice,
+}

@@ -1,0 +1,277 @@
+"""A result as one HTML file that needs no network and looks right on paper: verdict, numbers, pictures, what to do.
+
+Everything is made of the result's plain form (`to_dict`, or its JSON file) and of pictures that were drawn beside it.
+"""
+
+from __future__ import annotations
+
+import base64
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import optshape_graph
+from optshape_graph._arrays import Floats
+from optshape_graph.evaluation.verdicts import Verdict, kind_of, verdict_of
+from optshape_graph.io.files import write_atomically
+from optshape_graph.names import markup
+from optshape_graph.viz.style import BLUE, GREY, INK, PALE, VERMILLION
+
+MOST_ROWS = 200
+"""Of a table; further ones are counted."""
+
+MOST_PICTURES = 60
+"""Of a report: a page of the size of a photograph each."""
+
+LEVELS = {"Good": "#009e73", "Usable with care": "#b07800", "Not usable": "#c03020"}
+
+STYLE = """
+body { font: 15px/1.45 system-ui, "DejaVu Sans", sans-serif; color: #222; max-width: 60em; margin: 2em auto;
+  padding: 0 1em }
+h1 { font-size: 1.5em; margin-bottom: .2em } h2 { font-size: 1.15em; margin: 1.6em 0 .4em; break-after: avoid }
+.verdict { border-left: .5em solid; padding: .6em 1em; background: #f6f6f6; font-size: 1.1em; break-inside: avoid }
+table { border-collapse: collapse; font-size: .85em; width: 100% }
+th { text-align: left; border-bottom: 1.5px solid #222 } tr { break-inside: avoid }
+th, td { padding: .2em .6em .2em 0; vertical-align: top } td { border-bottom: 1px solid #ddd; overflow-wrap: anywhere }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap }
+figure { margin: 1em 0; break-inside: avoid } img, svg { max-width: 100%; max-height: 22cm }
+figcaption, footer { color: #555; font-size: .85em } footer { margin-top: 2em }
+pre { background: #f6f6f6; padding: .6em; white-space: pre-wrap; overflow-wrap: anywhere }
+@page { size: A4; margin: 15mm } @media print { body { margin: 0; max-width: none; font-size: 10.5pt } }
+"""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of a report.
+
+    Attributes:
+        title: above it.
+        columns: their headings, with units.
+        rows: cells; numbers are set flush right.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def write_report(
+    path: str | Path, document: Mapping[str, Any], pictures: Sequence[str | Path] = (), command: str = ""
+) -> Verdict:
+    """Write a result as a report, and return its verdict.
+
+    Args:
+        path: of the HTML file.
+        document: the result's plain form.
+        pictures: PNG or SVG files that were drawn of it.
+        command: that makes the result again.
+
+    Raises:
+        InputError: a result of no known kind, or the file cannot be written.
+    """
+    verdict = verdict_of(document)
+    write_atomically(Path(path), html_of(document, verdict, pictures, command).encode())
+    return verdict
+
+
+def html_of(document: Mapping[str, Any], verdict: Verdict, pictures: Sequence[str | Path], command: str) -> str:
+    """Return the report as HTML."""
+    kind = kind_of(document)
+    title = f"{TITLES[kind]}: {verdict.level}"
+    parts = [
+        f"<h1>{markup(TITLES[kind])}</h1>",
+        f'<p class="verdict" style="border-color:{LEVELS[verdict.level]}"><b>{markup(verdict.level)}:</b> '
+        f"{markup(verdict.sentence)}.</p>",
+    ]
+    if verdict.advice:
+        items = "".join(f"<li>{markup(one)}</li>" for one in verdict.advice)
+        parts.append(f"<h2>What to do next</h2><ol>{items}</ol>")
+    tables = tables_of(document)
+    parts += [_table(table) for table in tables]
+    places = _places(document)
+    if len(places):
+        parts.append(_figure(plan_view(places), "Seen from above: where the targets stood. Circles: range, m."))
+    for picture in list(pictures)[:MOST_PICTURES]:
+        parts.append(_figure(_embedded(Path(picture)), Path(picture).stem.replace("_", " ")))
+    if len(pictures) > MOST_PICTURES:
+        parts.append(f"<p>{len(pictures) - MOST_PICTURES} more pictures are beside the result.</p>")
+    if command:
+        parts.append(f"<h2>To make this again</h2><pre>{markup(command)}</pre>")
+    versions = (
+        f"optshape_graph {optshape_graph.__version__}, Python {platform.python_version()}, NumPy {np.__version__}"
+    )
+    parts.append(f"<footer>{markup(versions)}; {markup(document.get('schema'))}</footer>")
+    return (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{markup(title)}</title>'
+        f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head>\n<body>\n'
+        + "\n".join(parts)
+        + "\n</body></html>\n"
+    )
+
+
+def tables_of(document: Mapping[str, Any]) -> list[Table]:
+    """Return the numbers of a result as tables."""
+    kind = kind_of(document)
+    if kind == "estimate":
+        return [_poses("Scans", document["scans"], "scan")]
+    if kind == "detect":
+        found = [{**target, "scan": scan["scan"]} for scan in document["scans"] for target in scan.get("targets", ())]
+        return [_poses("Targets found", found, "scan")]
+    if kind == "map":
+        rows = [{**one, "T_lidar_target": one["T_world_target"], "status": ""} for one in document["landmarks"]]
+        return [_poses("Landmarks", rows, "id")]
+    if kind == "mocap":
+        return [_mocap_scans(document), _transform("T_lidar_mocap", document["T_lidar_mocap"], document["covariance"])]
+    if kind == "camera-calibration":
+        return [
+            _camera_views(document),
+            _transform("T_camera_lidar", document["T_camera_lidar"], document["covariance"]),
+        ]
+    return [_sizes(document)]
+
+
+def _mocap_scans(document: Mapping[str, Any]) -> Table:
+    rows = [(one["scan"], _mm(one["rmse_m"]), _mm(one["e_t_m"]), f"{one['e_r_deg']:.2f}") for one in document["scans"]]
+    return Table("Scans, each in a frame fitted to the others", ("scan", "RMSE mm", "e_t mm", "e_r deg"), tuple(rows))
+
+
+def _camera_views(document: Mapping[str, Any]) -> Table:
+    keys = ("centre_error_mm", "plane_offset_mm", "normal_error_deg", "reprojection_px")
+    rows = [
+        (view["scan"], "yes" if view["used"] else "no", *(_number(view[key]) for key in keys), view["reason"])
+        for view in document["views"]
+    ]
+    columns = ("view", "used", "centre mm", "plane mm", "normal deg", "vertices px", "why not")
+    return Table("Views, each predicted by the others", columns, tuple(rows))
+
+
+def _sizes(document: Mapping[str, Any]) -> Table:
+    rows = [
+        (
+            f"{one['area_m2']:.3f}", f"{one['bound_e_r_95_deg']:.2f}", _number(one["e_r_95_deg"]),
+            _mm(one["bound_e_t_95_m"]), "" if one["e_t_95_m"] is None else _mm(one["e_t_95_m"]),
+            f"{one['ok']} / {one['ambiguous']} / {one['failed']}", "yes" if one["does_it"] else "no",
+        )
+        for one in [document["chosen"], *document["smaller"]]
+    ]  # fmt: skip
+    columns = ("area m²", "bound deg", "e_r deg", "bound mm", "e_t mm", "ok / ambiguous / failed", "does it")
+    return Table("Sizes, 95 of 100 scans", columns, tuple(rows))
+
+
+def plan_view(places: Floats) -> str:
+    """Draw (N, 3) places in the LiDAR's frame from above, as SVG: x to the right, y up, circles of range."""
+    reach = float(np.hypot(places[:, 0], places[:, 1]).max()) * 1.15 or 1.0
+    step = next(size for size in (0.5, 1, 2, 5, 10, 20, 50, 100, 1e9) if reach / size <= 5)
+    low = np.minimum(places[:, :2].min(axis=0), 0.0) - 0.12 * reach
+    high = np.maximum(places[:, :2].max(axis=0), 0.0) + 0.12 * reach
+    scale = 600.0 / max(float((high - low)[0]), 0.6 * float((high - low)[1]))
+    width, height = (high - low) * scale
+
+    def at(x: float, y: float) -> tuple[float, float]:
+        return (x - low[0]) * scale, (high[1] - y) * scale
+
+    cx, cy = at(0.0, 0.0)
+    parts = []
+    for k in range(1, int(reach / step) + 1):
+        parts.append(f'<circle cx="{cx:.1f}" cy="{cy:.1f}" r="{k * step * scale:.1f}" fill="none" stroke="{PALE}"/>')
+        parts.append(f'<text x="{cx + k * step * scale + 3:.1f}" y="{cy - 3:.1f}" fill="{GREY}">{k * step:g}</text>')
+    parts.append(
+        f'<circle cx="{cx:.1f}" cy="{cy:.1f}" r="5" fill="{INK}"/><text x="{cx + 8:.1f}" y="{cy + 16:.1f}">LiDAR</text>'
+    )
+    for number, (x, y, _) in enumerate(places, 1):
+        px, py = at(float(x), float(y))
+        parts.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="4" fill="{BLUE}"/>')
+        if len(places) <= 40:
+            parts.append(f'<text x="{px + 6:.1f}" y="{py + 4:.1f}" fill="{VERMILLION}">{number}</text>')
+    return (
+        f'<svg viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" height="{height:.0f}" role="img" '
+        f'font-family="sans-serif" font-size="12">{"".join(parts)}</svg>'
+    )
+
+
+def _places(document: Mapping[str, Any]) -> Floats:
+    """(N, 3) where the targets of a result are, in the LiDAR's frame; empty for results that are nowhere."""
+    entries = document.get("scans", ())
+    if kind_of(document) == "detect":
+        entries = [target for scan in entries for target in scan.get("targets", ())]
+    found = [entry["T_lidar_target"] for entry in entries if entry.get("T_lidar_target")]
+    return np.array(found)[:, :3, 3] if found else np.zeros((0, 3))
+
+
+def _poses(title: str, entries: Sequence[Mapping[str, Any]], name: str) -> Table:
+    rows: list[tuple[str, ...]] = []
+    for number, entry in enumerate(entries, 1):
+        T, covariance = entry.get("T_lidar_target"), entry.get("covariance")
+        said = str(entry.get("reason", "") or "")
+        if T is None or covariance is None:
+            rows.append((str(number), str(entry[name]), str(entry.get("status", "")), "", "", "", "", "", said))
+            continue
+        sd = np.sqrt(np.diag(np.array(covariance)))
+        place = [f"{row[3]:.3f}" for row in T[:3]]
+        size = (_mm(sd[3:].max()), f"{np.degrees(sd[:3].max()):.2f}")
+        rows.append((str(number), str(entry[name]), str(entry.get("status", "")), *place, *size, said))
+    columns = ("no.", name, "status", "x m", "y m", "z m", "sd mm", "sd deg", "reason")
+    return Table(title, columns, tuple(rows))
+
+
+def _transform(name: str, T: Any, covariance: Any) -> Table:
+    sd = np.sqrt(np.diag(np.array(covariance)))
+    rows = [tuple(f"{value:.6f}" for value in row) for row in T]
+    note = (
+        f"sd {', '.join(f'{v:.3f}' for v in np.degrees(sd[:3]))} deg, {', '.join(f'{1e3 * v:.1f}' for v in sd[3:])} mm"
+    )
+    return Table(f"{name} ({note})", ("", " ", "  ", "   "), tuple(rows))
+
+
+def _table(table: Table) -> str:
+    numeric = [all(_is_number(row[k]) for row in table.rows) for k in range(len(table.columns))]
+    classes = ['class="n"' if flag else "" for flag in numeric]
+    head = "".join(f"<th {c}>{markup(text)}</th>" for c, text in zip(classes, table.columns, strict=True))
+    body = "".join(
+        "<tr>" + "".join(f"<td {c}>{markup(cell)}</td>" for c, cell in zip(classes, row, strict=True)) + "</tr>"
+        for row in table.rows[:MOST_ROWS]
+    )
+    more = len(table.rows) - MOST_ROWS
+    rest = f"<p>{more} more rows are in the result.</p>" if more > 0 else ""
+    return f"<h2>{markup(table.title)}</h2><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{rest}"
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell or "0")
+    except ValueError:
+        return False
+    return True
+
+
+def _figure(content: str, caption: str) -> str:
+    return f"<figure>{content}<figcaption>{markup(caption)}</figcaption></figure>"
+
+
+def _embedded(picture: Path) -> str:
+    kind = {".svg": "svg+xml", ".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}.get(picture.suffix.lower(), "png")
+    data = base64.b64encode(picture.read_bytes()).decode("ascii")
+    return f'<img alt="{markup(picture.stem)}" src="data:image/{kind};base64,{data}">'
+
+
+def _mm(metres: float) -> str:
+    return f"{1e3 * metres:.1f}"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"
+
+
+TITLES = {
+    "estimate": "Poses of a target",
+    "detect": "Targets in full scans",
+    "mocap": "Calibration of a LiDAR to motion capture",
+    "camera-calibration": "Calibration of a LiDAR to a camera",
+    "map": "Map of targets",
+    "design-choice": "Choice of a target",
+}

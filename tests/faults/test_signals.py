@@ -1,0 +1,194 @@
+"""Signals and kills at any moment: nothing finished is lost, nothing is left behind, and going on ends the same."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.faults.harness import MANY, command, descendants, environment, gone, linux_only, started
+from tests.faults.inputs import make_inputs
+
+for library in ("matplotlib", "pyarrow"):
+    pytest.importorskip(library)
+
+pytestmark = linux_only
+
+SCANS = 40 if MANY == 1 else 2000
+
+RUNS = {
+    "estimate": ("estimate @many.txt --target target.yaml --sensor sensor.yaml --json a.json", "a.json"),
+    "estimate on workers": (
+        "estimate @many.txt --target target.yaml --sensor sensor.yaml --json a.json --workers 2", "a.json",
+    ),
+    "detect": ("detect @rooms.txt --target square@1 --sensor vlp16 --json a.json", "a.json"),
+    "map": ("map drive --targets square@1 --sensor vlp16 --odometry drive/odometry.tum --json a.json", "a.json"),
+    "map on workers": (
+        "map drive --targets square@1 --sensor vlp16 --odometry drive/odometry.tum --json a.json --workers 2", "a.json",
+    ),
+    "evaluate": (
+        "evaluate simulation --distance 4 --distance 8 --rpy 0 0 0 --noise 1 --seeds 24 --method global -o sweep",
+        "sweep/scans.csv",
+    ),
+    "optimise": ("design optimise --starts 4 --sides 3 --rings 2 2 --area 0.5 -o shape.yaml", "shape.yaml"),
+}  # fmt: skip
+"""A run of each command that goes on where it was stopped, and what it writes."""
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Inputs: many crops, some full scans, and a drive with odometry."""
+    from optshape_graph.io import load_sensor, load_target, write_scan
+    from optshape_graph.io.trajectories import Trajectory, write_tum
+    from optshape_graph.simulation import NoiseModel, pose_from_rpy, room, simulate
+
+    folder = tmp_path_factory.mktemp("signals") / "world"
+    make_inputs(folder)
+    names = [path.name for path in sorted(folder.glob("*m*.pcd")) if path.name != "room.pcd"]
+    (folder / "many.txt").write_text("".join(f"{names[k % len(names)]}\n" for k in range(SCANS)))
+    (folder / "rooms.txt").write_text("room.pcd\n" * 6)
+    (folder / "drive").mkdir()
+    sensor = load_sensor("vlp16")
+    scene = room([(load_target("square@1"), pose_from_rpy([6.0, 0.5, 0.0], [0.0, 0.1, 0.2]))])
+    poses = [pose_from_rpy([0.3 * k, 0.0, 0.0], [0.0, 0.0, 0.02 * k]) for k in range(12)]
+    for k, pose in enumerate(poses):
+        scan = simulate(scene, sensor, pose, noise=NoiseModel.of(sensor), rng=k).scan
+        write_scan(folder / "drive" / f"{k:03d}.pcd", scan)
+    (folder / "drive" / "timestamps.txt").write_text("".join(f"{k:.1f}\n" for k in range(12)))
+    write_tum(folder / "drive" / "odometry.tum", Trajectory(np.array(poses), np.arange(12.0)))
+    return folder
+
+
+def outputs(folder: Path) -> list[Path]:
+    """What the runs write."""
+    return [folder / name for name in ("a.json", "a.json.journal", "sweep", "shape.yaml", "shape.starts")]
+
+
+def clean(folder: Path) -> None:
+    """Remove what a run wrote."""
+    for path in outputs(folder):
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+
+@pytest.fixture(scope="module")
+def unbroken(world: Path) -> dict[str, tuple[bytes, float]]:
+    """What each run writes when nothing stops it, and the seconds that it takes."""
+    found = {}
+    for name, (line, written) in RUNS.items():
+        clean(world)
+        begun = time.monotonic()
+        done = subprocess.run(command(*line.split()), cwd=world, env=environment(), capture_output=True, text=True)
+        assert done.returncode in (0, 3), done.stderr
+        found[name] = (world / written).read_bytes(), time.monotonic() - begun
+        assert not (world / "a.json.journal").exists()
+    clean(world)
+    return found
+
+
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+
+PAIRS = [(name, number) for k, name in enumerate(RUNS) for n, number in enumerate(SIGNALS) if MANY > 1 or k % 3 == n]
+"""By `make test` each run is stopped by one of the signals."""
+
+
+@pytest.mark.parametrize(("name", "number"), PAIRS)
+def test_stopped_and_gone_on(
+    name: str, number: signal.Signals, world: Path, unbroken: dict[str, tuple[bytes, float]]
+) -> None:
+    line, written = RUNS[name]
+    whole, seconds = unbroken[name]
+    moments = random.Random(f"{name} {number}")
+    for _ in range(MANY):
+        clean(world)
+        with started(line.split(), world) as process:
+            time.sleep(moments.uniform(0.45, 0.95) * seconds)
+            below = descendants(process.pid)
+            process.send_signal(number)
+            begun = time.monotonic()
+            status = process.wait(timeout=20)
+            assert time.monotonic() - begun < 2.5  # two seconds, and half of one for a busy machine
+            said = process.communicate()[1]
+        if status not in (0, 3):  # it had not finished before
+            assert status == (-9 if number == signal.SIGKILL else 128 + number), said
+            if number != signal.SIGKILL:
+                assert said.splitlines()[-1].startswith(f"optshape: stopped by {number.name}"), said
+                assert "goes on" in said or not any(path.exists() for path in outputs(world)), said
+        assert "Traceback" not in said, said
+        assert gone(below) == []
+        again = subprocess.run(command(*line.split()), cwd=world, env=environment(), capture_output=True, text=True)
+        assert again.returncode in (0, 3), again.stderr
+        if name.startswith("map"):
+            assert_same_map(json.loads((world / written).read_bytes()), json.loads(whole))
+        else:
+            assert (world / written).read_bytes() == whole
+        assert not list(world.rglob("*.journal"))
+    clean(world)
+
+
+def assert_same_map(found: dict[str, object], expected: dict[str, object]) -> None:
+    """Assert that two maps are equal to 1e-9."""
+    assert found.keys() == expected.keys()
+    for key in ("landmarks", "trajectory"):
+        for a, b in zip(found[key], expected[key], strict=True):  # type: ignore[arg-type]  # lists
+            for field, value in b.items():
+                if isinstance(value, list):
+                    np.testing.assert_allclose(a[field], value, rtol=0, atol=1e-9)
+                else:
+                    assert a[field] == value
+
+
+@pytest.mark.parametrize("name", ["estimate on workers", "map on workers"])
+def test_killed_workers_cost_nothing(name: str, world: Path, unbroken: dict[str, tuple[bytes, float]]) -> None:
+    line, written = RUNS[name]
+    whole, seconds = unbroken[name]
+    clean(world)
+    killed = 0
+    with started(line.split(), world) as process:
+        deadline = time.monotonic() + 20 * seconds + 60
+        while process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.3 * seconds / 10 + 0.2)
+            below = [pid for pid in descendants(process.pid) if b"spawn_main" in cmdline(pid)]
+            if killed < 10 and below:
+                os.kill(random.Random(killed).choice(below), signal.SIGKILL)
+                killed += 1
+        said = process.communicate()[1]
+    assert process.returncode in (0, 3), said
+    assert killed >= 2
+    if name.startswith("map"):
+        assert_same_map(json.loads((world / written).read_bytes()), json.loads(whole))
+    else:
+        assert (world / written).read_bytes() == whole
+    clean(world)
+
+
+def cmdline(pid: int) -> bytes:
+    """Command line of a process, empty where it has ended."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def test_a_second_run_on_the_same_output_is_refused(world: Path) -> None:
+    clean(world)
+    line = RUNS["estimate"][0].split()
+    with started(line, world) as first:
+        deadline = time.monotonic() + 60
+        while not (world / "a.json.journal").exists() and time.monotonic() < deadline and first.poll() is None:
+            time.sleep(0.01)
+        second = subprocess.run(command(*line), cwd=world, env=environment(), capture_output=True, text=True)
+        if first.poll() is None:
+            assert second.returncode == 2
+            assert "in use: another run writes the same output" in second.stderr
+    clean(world)

@@ -1,0 +1,137 @@
+"""One file, whole, safe and readable: parsed as HTML, with nothing fetched from anywhere."""
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from optshape_graph import InputError
+from optshape_graph.evaluation.verdicts import verdict_of
+from optshape_graph.viz.report import plan_view, write_report
+
+COVARIANCE = np.diag([1e-4, 1e-4, 1e-4, 1e-6, 4e-6, 1e-6]).tolist()
+
+
+def pose(x, y=0.0):
+    T = np.eye(4)
+    T[:2, 3] = x, y
+    return T.tolist()
+
+
+def scan(name, status="ok", x=5.0, flags=(), n=100):
+    return {
+        "scan": name, "target": "paper", "status": status, "reason": "" if status == "ok" else "a fold of 5 mm",
+        "T_lidar_target": pose(x), "covariance": COVARIANCE, "n_returns": n,
+        "fit": {"flags": [{"kind": kind, "excess": 2.0, "reason": "x"} for kind in flags]},
+    }  # fmt: skip
+
+
+ESTIMATE = {"schema": "optshape/estimate/1", "scans": [scan("a.pcd"), scan("b.pcd", x=9.0)]}
+DOUBTFUL = {
+    "schema": "optshape/estimate/1",
+    "scans": [scan("a.pcd"), scan("b.pcd", "ambiguous", flags=["surface"]), scan("<b>&.pcd", "ambiguous", n=9)],
+}
+MOCAP = {
+    "schema": "optshape/mocap/1", "verdict": "to be trusted", "warnings": [],
+    "mean": {"rmse_m": 0.01, "e_t_m": 0.0047, "e_r_deg": 0.6},
+    "scans": [{"scan": f"{k}.pcd", "rmse_m": 0.01, "e_t_m": 0.005, "e_r_deg": 0.5, "T_lidar_target": pose(4.0 + k)}
+              for k in range(6)],
+    "T_lidar_mocap": pose(1.0), "covariance": COVARIANCE, "left_out": [],
+}  # fmt: skip
+MAP = {
+    "schema": "optshape/map/1", "trajectory": [{}] * 7,
+    "landmarks": [{"id": "A", "T_world_target": pose(1.0), "covariance": COVARIANCE, "observations": 1}],
+}  # fmt: skip
+
+
+class Checker(HTMLParser):
+    VOID = frozenset({"meta", "img"})
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.text, self.sources = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.sources += [value for key, value in attrs if key in ("src", "href")]
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        self.handle_endtag(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def read(path):
+    checker = Checker()
+    checker.feed(path.read_text(encoding="utf-8"))
+    assert checker.open == []
+    assert all(source.startswith("data:image/") for source in checker.sources)
+    return " ".join(checker.text)
+
+
+@pytest.mark.parametrize("document", [ESTIMATE, DOUBTFUL, MOCAP, MAP], ids=lambda document: document["schema"])
+def test_a_report_is_one_sound_file_that_says_the_verdict(tmp_path, document):
+    path = tmp_path / "report.html"
+    verdict = write_report(path, document, command="optshape estimate 'a b.pcd' --target paper")
+    text = read(path)
+    assert verdict.sentence in text
+    assert "optshape estimate 'a b.pcd' --target paper" in text
+    assert all(advice in text for advice in verdict.advice)
+    assert "http" not in re.sub(r"http-equiv", "", path.read_text())
+    assert "@media print" in path.read_text()
+
+
+def test_pictures_are_inside(tmp_path):
+    picture = tmp_path / "fit.png"
+    picture.write_bytes(b"\x89PNG...")
+    write_report(tmp_path / "r.html", ESTIMATE, [picture])
+    picture.unlink()
+    assert "data:image/png;base64,iVBORy4uLg==" in (tmp_path / "r.html").read_text()
+
+
+def test_a_good_result_is_good():
+    assert verdict_of(ESTIMATE).line == (
+        "Good: 2 of 2 scans have a pose to be relied on, at 5.0 to 9.0 m; "
+        "standard deviations of up to 2.0 mm and 0.57 deg"
+    )
+    assert verdict_of(MOCAP).line.startswith("Good: 6 scans agree with the markers to 4.7 mm and 0.60 deg")
+
+
+def test_a_doubtful_one_says_what_to_do():
+    verdict = verdict_of(DOUBTFUL)
+    assert verdict.level == "Not usable"
+    assert verdict.advice[0] == "look at 'surface' first, which makes 1 of the scans doubtful"
+    assert "fewer than 30 returns: nearer, or a larger target" in verdict.advice[1]
+    few = {**MOCAP, "scans": MOCAP["scans"][:3]}
+    assert verdict_of(few).level == "Usable with care"
+    assert verdict_of({**MOCAP, "verdict": "not to be trusted"}).level == "Not usable"
+    assert verdict_of(MAP).advice == ("1 landmarks were seen in one scan only (A): drive past them again",)
+
+
+def test_nothing_found_is_not_usable():
+    empty = {
+        "schema": "optshape/detect/1",
+        "scans": [{"scan": "a", "targets": [], "rejected": [{"reason": "size: 2 m"}]}],
+    }
+    assert verdict_of(empty).line == (
+        "Not usable: no target was found in 1 scans; nothing was found in 1 of 1 scans (mostly rejected: size)"
+    )
+
+
+def test_the_plan_shows_every_place():
+    places = np.array([[4.0, 1.0, 0.0], [8.0, -2.0, 0.0], [3.0, 0.0, 0.0]])
+    svg = plan_view(places)
+    assert svg.count('r="4"') == 3
+    assert ">LiDAR<" in svg
+
+
+def test_other_files_are_refused(tmp_path):
+    with pytest.raises(InputError, match="'optshape/target/1': expected the result of"):
+        write_report(tmp_path / "r.html", {"schema": "optshape/target/1"})
