@@ -74,8 +74,8 @@ def measure(scan: Scan, target: Target, options: PoseOptions) -> Measured:
     Raises:
         EstimationError: the returns span no plane, or no azimuth step is to be found.
     """
-    assert scan.ring is not None
     scan = at_firing_times(scan)
+    assert scan.ring is not None
     ring, as_recorded = scan.ring, scan
     scan, angular_noise = level_rings(scan)
     edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
