@@ -105,7 +105,7 @@ def chi_square_tail(square: float, freedom: float) -> float:
 
 
 def f_tail(ratio: float, k: float, freedom: float) -> float:
-    """Return the probability that an F variable of (k, freedom) degrees of freedom exceeds `ratio`: up to three times it.
+    """Return the probability that an F variable of (k, freedom) degrees exceeds `ratio`, at most three times too large.
 
     It is the ratio of two whose cube roots are close to normal (Paulson, Ann. Math. Stat. 13, 1942). 1 where there are
     not three degrees of freedom: then the approximation fails, and nothing is told by it.

@@ -120,6 +120,28 @@ def rotation_vector(R: Floats) -> Floats:
     return np.asarray(q[..., 1:] * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 1e-150))
 
 
+def turns_between(A: Floats, B: Floats) -> Floats:
+    """Return the rotation vectors (N, M, 3), rad, from each transform to each of M others, in the axes of the first.
+
+    Args:
+        A: (N, 4, 4).
+        B: (M, K, 4, 4), K equivalent ones of each: the one that is turned least counts.
+    """
+    conjugate = _quaternion(A[:, :3, :3]) * [1.0, -1.0, -1.0, -1.0]
+    w, v = conjugate[:, :1, None], conjugate[:, 1:]
+    left = np.zeros((len(A), 4, 4))  # the product of quaternions as a matrix
+    left[:, :1, :1], left[:, 0, 1:], left[:, 1:, 0] = w, -v, v
+    left[:, 1:, 1:] = w * _UNIT + skew(v)
+    q = _quaternion(B[..., :3, :3]).reshape(-1, 4) @ np.swapaxes(left, 1, 2)
+    q = q.reshape(len(A), *B.shape[:2], 4)
+    nearest = np.abs(q[..., 0]).argmax(axis=-1)
+    q = np.take_along_axis(q, nearest[..., None, None], axis=2)[:, :, 0]
+    q *= np.where(q[..., :1] < 0, -1.0, 1.0)
+    sine = np.sqrt((q[..., 1:] ** 2).sum(axis=-1, keepdims=True))
+    turn = 2.0 * np.arctan2(sine, q[..., :1])
+    return np.asarray(q[..., 1:] * np.divide(turn, sine, out=np.full_like(sine, 2.0), where=sine > 1e-150))
+
+
 def angle(T: Floats) -> Floats:
     """Return the angles (...), rad from 0 to pi, by which transforms (..., 4, 4) or rotations (..., 3, 3) turn."""
     return np.asarray(np.linalg.norm(rotation_vector(T[..., :3, :3]), axis=-1))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from optshape_graph.cli.console import say, warn
 from optshape_graph.cli.html_report import conclude, report_option
 from optshape_graph.cli.options import force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
@@ -93,8 +94,8 @@ def command(
             pictures.paths += save_overlays(calibration, plots, progress)
         pictures.tell()
     for warning in calibration.warnings:
-        click.echo(f"optshape: warning: {warning}", err=True)
-    click.echo(f"The calibration is {calibration.verdict}.")
+        warn(f"warning: {warning}")
+    say(f"The calibration is {calibration.verdict}.")
     conclude(calibration.to_dict(), html, pictures.paths if pictures else ())
     return 0 if calibration.trusted and all(result.used for result in calibration.views) else 3
 
@@ -126,7 +127,7 @@ def _print(calibration: CameraCalibration) -> None:
     )
     for result in calibration.views:
         if not result.used:
-            click.echo(f"optshape: not used: {result.view.name}: {result.reason}", err=True)
+            warn(f"not used: {result.view.name}: {result.reason}")
     for camera in calibration.cameras:
         for lidar in calibration.lidars:
             _print_pair(calibration, camera, lidar)
@@ -135,7 +136,7 @@ def _print(calibration: CameraCalibration) -> None:
             shape.joint.sides, np.sqrt(np.diag(shape.joint.sides_covariance)), shape.target.edge_lengths,
         )]  # fmt: skip
         verdict = "agrees with" if shape.agrees else "CONTRADICTS"
-        click.echo(
+        say(
             f"sides of {name} by {lidar}, vertices free: {numbers[0]} mm, sd {numbers[1]} (mostly common: the beam's "
             f"width); by its file: {numbers[2]}; single scans are off by {1e3 * shape.mean_absolute_error:.1f} mm on "
             f"average; that {verdict} the file"
@@ -167,14 +168,15 @@ def _print_pair(calibration: CameraCalibration, camera: str, lidar: str) -> None
         )  # fmt: skip
         _print_lens(calibration, camera)
     lines = static_transforms(lidar, camera, T_inverse)
-    click.echo("\n".join([lines["ros1"], lines["ros2"], f"URDF: {lines['urdf']}"]))
+    for line in (lines["ros1"], lines["ros2"], f"URDF: {lines['urdf']}"):
+        say(line)
     inset = np.degrees(calibration.edge_inset(lidar))
     lie = f"; its last returns lie {inset:.2f} deg inside the targets' edges" if np.isfinite(inset) else ""
-    click.echo(f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far){lie}")
-    click.echo(f"worst direction: {calibration.directions(lidar, camera)[0].text} (sd)")
+    say(f"range bias of {lidar}: {1e3 * bias:+.1f} mm, sd {1e3 * sigma:.1f} (positive: measures too far){lie}")
+    say(f"worst direction: {calibration.directions(lidar, camera)[0].text} (sd)")
     if (place := calibration.next_placement(lidar, camera)) is not None:
         x, y, z = place.T_lidar_target[:3, 3]
-        click.echo(
+        say(
             f"a view with the target at ({x:.1f}, {y:.1f}, {z:.1f}) m, turned {place.yaw_deg:+.0f} deg and "
             f"tilted {place.pitch_deg:+.0f} deg from facing the LiDAR, would make the worst direction "
             f"{1e3 * place.expected_sigma_m:.1f} mm instead of {1e3 * place.sigma_m:.1f}"
@@ -186,5 +188,5 @@ def _print_lens(calibration: CameraCalibration, camera: str) -> None:
     for words, rig in (("refined", calibration.rig), ("given", calibration.given)):
         lens = rig.cameras[camera]
         K = " ".join(f"{lens.K[i, j]:.2f}" for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-        click.echo(f"{words} lens of {camera}: fx fy cx cy {K} px, distortion {' '.join(f'{k:.5f}' for k in lens.D)}")
-    click.echo("")
+        say(f"{words} lens of {camera}: fx fy cx cy {K} px, distortion {' '.join(f'{k:.5f}' for k in lens.D)}")
+    say("")

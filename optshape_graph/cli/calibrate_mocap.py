@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from optshape_graph.cli.console import say, warn
 from optshape_graph.cli.html_report import conclude, report_option
 from optshape_graph.cli.options import force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
@@ -52,12 +53,13 @@ def command(
     with progress_bar("estimating") as progress:
         result = calibrate_mocap(loaded, estimate_scale=estimate_scale, progress=progress)
     for item in result.left_out:
-        click.echo(f"optshape: left out {item.scan}: {item.reason}", err=True)
+        warn(f"left out {item.scan}: {item.reason}")
     if json_path:
         write_json(json_path, result.to_dict())
     _print_errors(print_table, result.leave_one_out, result.in_sample)
     if result.scale_sigma:
-        click.echo(f"scale of the motion capture: {result.scale:.4f} +- {result.scale_sigma:.4f}\n")
+        say(f"scale of the motion capture: {result.scale:.4f} +- {result.scale_sigma:.4f}")
+        click.echo()
     print_transform(
         "T_lidar_mocap", "motion-capture points into the LiDAR frame", result.T_lidar_mocap, result.covariance
     )
@@ -74,8 +76,8 @@ def command(
         pictures.save("markers", plot_marker_layout(result))
         pictures.tell()
     for warning in result.warnings:
-        click.echo(f"optshape: warning: {warning}", err=True)
-    click.echo(f"The calibration is {result.verdict}.")
+        warn(f"warning: {warning}")
+    say(f"The calibration is {result.verdict}.")
     conclude(result.to_dict(), html, pictures.paths if pictures else ())
     return 0 if result.trusted and not result.left_out else 3
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ import click
 
 from optshape_graph.cli.console import say
 from optshape_graph.cli.options import FILE, force_option
+from optshape_graph.names import shell_word
 
 
 def report_option(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -38,7 +38,7 @@ def conclude(document: Mapping[str, Any], html: Path | None, pictures: Sequence[
     from optshape_graph.viz.report import write_report
 
     words = [Path(sys.argv[0]).name, *sys.argv[1:]]
-    say(write_report(html, document, pictures, shlex.join(words)).line)
+    say(write_report(html, document, pictures, " ".join(map(shell_word, words))).line)
     say(f"wrote {html}")
 
 

@@ -7,21 +7,27 @@ from typing import Any
 
 import click
 
+from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.options import FILE, force_option
+
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
 @click.option("--columns", metavar="NAMES", help="Names of a cloud's columns that has none: x,y,z,_,ring.")
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the facts to this file.")
-def command(files: tuple[Path, ...], columns: str | None, json_path: Path | None) -> int:
+@click.option("--json", "json_path", type=FILE, help="Write the facts to this file.")
+@force_option
+def command(files: tuple[Path, ...], columns: str | None, json_path: Path | None, force: bool) -> int:
     """Say what each FILE is: form, fields and units, rings, times, topics and spans, and the sensor it looks like.
 
     FILE is anything that the package reads: a cloud, a bag, a folder of clouds, captured packets, a session, a camera,
     a sensor, motion capture, a trajectory, a result, an image. Exit status 3: some files are of no form that is read.
     """
+    from optshape_graph.cli.outputs import Outputs
     from optshape_graph.errors import OptshapeError
     from optshape_graph.io.describe import describe
     from optshape_graph.io.documents import write_json
 
+    Outputs(files, force=force).file("--json", json_path, "info")
     found: list[dict[str, Any]] = []
     problems: list[OptshapeError] = []
     for file in files:
@@ -30,10 +36,10 @@ def command(files: tuple[Path, ...], columns: str | None, json_path: Path | None
         except OptshapeError as error:
             problems.append(error)
             found.append({"file": str(file), "form": None, "problem": str(error)})
-            click.echo(f"optshape: {error}", err=True)
+            warn(f"{error}")
             continue
         found.append({"file": str(file), **facts})
-        click.echo(click.style(str(file), bold=True))
+        say(file)
         _print(facts, 2)
     if json_path:
         write_json(json_path, {"schema": "optshape/info/1", "files": found})
@@ -46,7 +52,7 @@ def _print(facts: dict[str, Any], indent: int) -> None:
     width = max((len(name) for name in facts), default=0)
     for name, value in facts.items():
         if isinstance(value, dict):
-            click.echo(" " * indent + name)
+            say(" " * indent + name)
             _print(value, indent + 2)
         else:
-            click.echo(" " * indent + f"{name:<{min(width, 24)}}  {value}")
+            say(" " * indent + f"{name:<{min(width, 24)}}  {value}")

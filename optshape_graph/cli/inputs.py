@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from optshape_graph.cli.console import warn
+
 if TYPE_CHECKING:
     from optshape_graph.sensor import SensorModel
 
@@ -66,7 +68,7 @@ def sensor_of(name: str | None, paths: Sequence[str], columns: Sequence[str] | N
     ((found, sensor),) = told.items()
     if any(found not in guess.misfits for guess in guesses):
         return None
-    click.echo(f"optshape: sensor: {found}, whose table the elevations fit (--sensor none: without)", err=True)
+    warn(f"sensor: {found}, whose table the elevations fit (--sensor none: without)")
     return sensor
 
 

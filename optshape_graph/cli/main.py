@@ -84,6 +84,7 @@ class OneLine(logging.Formatter):
 def main() -> None:
     """Run the command line; every error is one line and a non-zero exit status."""
     debug = "--debug" in sys.argv
+    open_streams()
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # an ASCII terminal gets escapes of what it has not
             stream.reconfigure(errors="backslashreplace")
@@ -103,8 +104,8 @@ def main() -> None:
             click.echo(f"{error.ctx.get_usage()}\nTry '{error.ctx.command_path} --help' for help.\n", err=True)
         click.echo(f"Error: {shown(said, LONGEST_MESSAGE)}", err=True)
         sys.exit(2)
-    except BrokenPipeError:  # whoever read the output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (BrokenPipeError, SystemExit):  # click and rich exit for a broken pipe, and for nothing else
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # whoever read the output has seen enough
         sys.exit(0)
     except (optshape_graph.OptshapeError, OSError) as error:
         if debug:
@@ -117,6 +118,17 @@ def main() -> None:
             show_traceback(error)
         end(f"unexpected {type(error).__name__}: {shown(error, LONGEST_MESSAGE)} (--debug shows where)", 1)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def open_streams() -> None:
+    """Lead standard streams that are closed to nowhere: files that are opened would take their places."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free: this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115  # for good
 
 
 def end(message: str, status: int) -> NoReturn:

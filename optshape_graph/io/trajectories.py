@@ -184,7 +184,7 @@ def _read_lines(path: Path, text: str) -> Trajectory:
         if not words or words == ["[]"]:
             continue
         if comment or not _are_numbers(words[:1]):
-            layout = (not rows and _layout(path, words)) or layout
+            layout = (not rows and _layout(path, _names(line))) or layout
             if not (comment or layout.named):
                 bad.add(number, f"could not convert string to float: '{words[0]}'")
             continue
@@ -251,6 +251,13 @@ class _BadLines:
             )
 
 
+def _names(line: str) -> list[str]:
+    """The names of a line of names: between commas, semicolons or tabs, or between blanks; units stay with them."""
+    line = re.sub(r"\s*[\[(]([^\])]*)[\])]", r"[\1]", line.strip().lstrip("#%/ "))
+    delimiter = next((d for d in ",;\t" if d in line), None)
+    return line.split(delimiter)
+
+
 def _layout(path: Path, words: list[str]) -> _Layout | None:
     """The layout that names of columns state; None: they are no names of a trajectory's columns.
 
@@ -260,7 +267,8 @@ def _layout(path: Path, words: list[str]) -> _Layout | None:
     found: dict[str, tuple[int, str]] = {}
     for k, word in enumerate(words):
         name, _, unit = word.lower().partition("[")
-        plain = re.sub(r"[^a-z0-9]", "", name)
+        path_in_message = [part for part in re.split(r"[./]", name) if part]  # of ROS: field.pose.pose.position.x
+        plain = re.sub(r"[^a-z0-9]", "", "".join(path_in_message[-2:]))
         role = next((role for role, names in _NAMES.items() if plain in names), None)
         if role is not None:
             found.setdefault(role, (k, unit.rstrip("]")))

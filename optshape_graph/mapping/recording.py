@@ -166,6 +166,8 @@ def map_recording(
     )
     build_map(slam, seen, noise, progress, report)
     slam.settle()
+    if isinstance(source.poses, Stream) and source.poses.skipped:
+        source.warnings.append(f"odometry: messages passed over: {source.poses.skipped}")
     result, solution = slam.map(), None
     if batch and lag is None and result.landmarks:
         solution = solve_batch(slam.problem(), as_built_sigma=as_built_sigma)

@@ -20,7 +20,7 @@ from optshape_graph.factors import (
 from optshape_graph.factors.static import ELEVATION, RANGE_BIAS
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
-from optshape_graph.pose import PoseEstimate
+from optshape_graph.pose import PoseEstimate, PoseOptions
 from optshape_graph.se3 import PoseLike, as_transform, inverse
 from optshape_graph.target import Target
 
@@ -69,7 +69,7 @@ class Sighting(Value):
         *,
         biases: bool = True,
     ) -> Sighting:
-        """Return the sighting that a pose estimate makes; of an ambiguous one, both of its poses.
+        """Return the sighting that a pose estimate makes; where another pose is not ruled out, both.
 
         Of the other pose only the pose is known: its measurement is taken to be that of the best one, moved there.
 
@@ -87,7 +87,7 @@ class Sighting(Value):
         best = estimate.measurement
         measurements: tuple[TemplateMeasurement, ...] = (best,)
         other = estimate.ambiguity.T_lidar_target
-        if estimate.status != "ok" and other is not None:
+        if other is not None and estimate.ambiguity.margin < PoseOptions.ambiguity_margin:
             measurements = (best, best.substituted(best.T_target_lidar @ other))
         return cls(estimate.target, measurements, landmark, shape, _biased(estimate) if biases else None)
 

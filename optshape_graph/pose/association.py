@@ -15,7 +15,7 @@ from math import comb
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
 from optshape_graph.se3 import transform
@@ -23,8 +23,8 @@ from optshape_graph.target import Target
 
 _ANGLES = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
 _PAIRS = np.triu_indices(5)
-_REFINED = 48  # labellings whose angle is refined from the grid's
-_SECTOR = 4  # grid steps between the directions in which a rival is looked for
+_REFINED = 400  # labellings whose angle is refined from the grid's
+_SECTOR = 2  # grid steps between the directions in which a rival is looked for
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -133,11 +133,8 @@ def enumerate_labellings(n_edges: int, n_rings: int) -> tuple[Ints, Floats]:
     return labels, indicators
 
 
-NEAR, FAR = 5, 4
+NEAR, FAR = 10, 40
 """How many of the best poses are kept that differ a little, and how many beside them that differ much."""
-
-FAR_IF_NOISY = 8
-"""The latter where ring ends are noisy, so that their order is."""
 
 
 def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> Floats:
@@ -182,10 +179,8 @@ def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> F
 
     x = np.stack([np.cos(angle), np.sin(angle), -np.ones_like(angle)], axis=-1)
     t = -np.einsum("kij,kj->ki", K, x)
-    turned = np.abs(np.angle(np.exp(1j * (angle[:, None] - angle[None]))))
-    moved = np.linalg.norm(t[:, None] - t[None], axis=-1) / target.circumradius
-    near = _first_different((turned < np.radians(1.5)) & (moved < 0.01), NEAR)
-    far = _first_different((turned < np.radians(15.0)) & (moved < 0.3), FAR_IF_NOISY if edges.noisy else FAR)
+    near = _first_different(angle, t / target.circumradius, np.radians(1.5), 0.01, NEAR)
+    far = _first_different(angle, t / target.circumradius, np.radians(15.0), 0.3, FAR)
     chosen = np.union1d(near, far)
     return in_plane_poses(angle[chosen], t[chosen], plane)
 
@@ -237,14 +232,16 @@ def _minimise_on_circle(form: Floats) -> tuple[Ints, Floats]:
     return which[order], phi[order]
 
 
-def _first_different(alike: Bools, count: int) -> Ints:
-    """Indices of the first `count` that are not alike (K, K) to any before."""
-    free = np.ones(len(alike), dtype=bool)
+def _first_different(angle: Floats, t: Floats, turn: float, move: float, count: int) -> Ints:
+    """Indices of the first `count` of poses (K,), (K, 2) that differ by `turn`, rad, or `move` from each before."""
+    free = np.ones(len(angle), dtype=bool)
     kept: list[int] = []
     while free.any() and len(kept) < count:
         first = int(free.argmax())
         kept.append(first)
-        free &= ~alike[first]
+        turned = np.abs((angle - angle[first] + np.pi) % (2 * np.pi) - np.pi)
+        free &= (turned >= turn) | (np.hypot(*(t - t[first]).T) >= move)
+        free[first] = False
     return np.array(kept, dtype=np.int64)
 
 

@@ -24,10 +24,13 @@ from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError, InputError, missing_extra
 from optshape_graph.factors.measurement import TemplateMeasurement, refine
 from optshape_graph.pose.dual import closed_form_bounds
-from optshape_graph.se3 import transform
+from optshape_graph.se3 import rotation, transform
 
 Backend = Literal["closed-form", "clarabel", "cvxpy"]
 """What finds the multipliers: closed-form where that certifies the pose, else Clarabel; Clarabel; Clarabel by cvxpy."""
+
+BEHIND = 9.0
+"""Excess of cost, in squared standard deviations, up to which a pose from behind counts as fitting as well."""
 
 _SQUARED_NORM = 4.0  # of x = [vec R; 1], for every rotation
 _UPPER = np.array([(i, j) for j in range(10) for i in range(j + 1)])  # column by column, as Clarabel packs
@@ -256,3 +259,16 @@ def certify(
                 return certificate
     dual = lower_bound(Q, backend)
     return judged(dual.bound, dual.second_eigenvalue)
+
+
+def why_not_certified(measurement: TemplateMeasurement) -> str:
+    """Say in words what keeps a minimum, where the measurement was taken, from being certified as the only one.
+
+    The relaxation does not know on which side of the target the sensor is: a pose from behind stops it like any other.
+    """
+    T, cost = measurement.T_target_lidar, 2.0 * measurement.error(measurement.T_target_lidar)
+    for axis in np.eye(3)[1:]:
+        behind = refine(measurement.at(transform(rotation(np.pi * axis)) @ T))
+        if behind[0, 3] > 0 and 2.0 * measurement.error(behind) < cost + BEHIND:
+            return "not certified: a pose seen from behind the target, which is impossible, fits these matches as well"
+    return "not certified: the bound on other poses of these matches is not tight"

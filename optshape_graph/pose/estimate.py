@@ -8,7 +8,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
-from optshape_graph.pose.certificate import Backend, certify
+from optshape_graph.pose.certificate import Backend, certify, why_not_certified
 from optshape_graph.pose.containment import find_by_containment
 from optshape_graph.pose.fit import Fit, measure_fit
 from optshape_graph.pose.options import PoseOptions
@@ -75,7 +75,10 @@ def conclude(found: Finding, duplicates: int, backend: Backend, options: PoseOpt
     covariance = inverse_covariance(T_target_lidar, np.linalg.inv(information))
     unobservable = unobservable_directions(covariance, found.target.circumradius, options.unobservable_sd)
     fit = measure_fit(found.evidence, T_target_lidar, duplicates)
-    status, reason = _verdict(found, fit, unobservable, options)
+    status, reason = _verdict(found, fit, covariance, unobservable, options)
+    certificate = certify(found.exact, T_target_lidar, found.total_weight, backend, options.certified_gap)
+    if status == "ok" and not certificate.certified:
+        reason = why_not_certified(found.exact)
     off_plane = found.returns.points @ T_target_lidar[0, :3] + T_target_lidar[0, 3]
     return PoseEstimate(
         target=found.target,
@@ -85,7 +88,7 @@ def conclude(found: Finding, duplicates: int, backend: Backend, options: PoseOpt
         reason=reason,
         measurement=measurement,
         shared=found.shared,
-        certificate=certify(found.exact, T_target_lidar, found.total_weight, backend, options.certified_gap),
+        certificate=certificate,
         ambiguity=found.ambiguity,
         log_likelihood=found.log_likelihood,
         edge_points=found.edge_points,
@@ -101,7 +104,9 @@ def conclude(found: Finding, duplicates: int, backend: Backend, options: PoseOpt
     )
 
 
-def _verdict(found: Finding, fit: Fit, unobservable: tuple[str, ...], options: PoseOptions) -> tuple[Status, str]:
+def _verdict(
+    found: Finding, fit: Fit, covariance: Floats, unobservable: tuple[str, ...], options: PoseOptions
+) -> tuple[Status, str]:
     """Status and reason, the weightiest first."""
     if found.objection:
         return "failed", found.objection
@@ -112,7 +117,25 @@ def _verdict(found: Finding, fit: Fit, unobservable: tuple[str, ...], options: P
     if found.ambiguity.margin < options.ambiguity_margin:
         margin = found.ambiguity.margin
         return "ambiguous", f"a different pose is only {margin:.2g} less likely (log likelihood)"
-    return "ok", ""
+    uncertain = _too_uncertain(found, covariance, options)
+    return ("ambiguous", uncertain) if uncertain else ("ok", "")
+
+
+def _too_uncertain(found: Finding, covariance: Floats, options: PoseOptions) -> str:
+    """Say what of a pose is less certain than a pose that can be used may be; empty where nothing is."""
+    size = found.target.circumradius
+    seen = f"{found.edge_points.n_rings} rings" if len(found.edge_points) else f"{len(found.returns)} returns"
+    for block, limit, unit, name in (
+        (slice(0, 3), options.largest_turn_sd, np.degrees(1.0), "deg"),
+        (slice(3, 6), options.largest_shift_sd * size, 1.0, "m"),
+    ):
+        values, vectors = np.linalg.eigh(covariance[block, block])
+        sd = float(np.sqrt(values[-1]))
+        if sd > limit:
+            direction = _DIRECTIONS[block][int(np.abs(vectors[:, -1]).argmax())]
+            found_sd, largest = f"{sd * unit:.2g} {name}", f"{limit * unit:.2g}"
+            return f"too uncertain: {direction} has a standard deviation of {found_sd}, over {largest}, from {seen}"
+    return ""
 
 
 def unobservable_directions(covariance: Floats, size: float, largest_sd: float) -> tuple[str, ...]:

@@ -25,45 +25,27 @@ import numpy as np
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.gaussian import log_ndtr, logsumexp, ndtr
+from optshape_graph.pose.mixture import LogDensity
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.propagation import Posterior, Problem
+from optshape_graph.pose.rays import Rays, chords, sight_planes
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import inverse, vec
+from optshape_graph.se3 import apply, inverse, vec
 from optshape_graph.sensor import SensorModel
+
+KNOWN_LOST = (10.0, 0.4)
+"""Rings that count as tried before a scan, and as lost: one in 25, as on recordings."""
 
 _PLACES = 24  # of the grid within a step that are averaged over
 _SEEN = 0.05  # a ring's place counts as known below this, in steps
 _REACH = 3.5  # standard deviations of a ring's place that count
 
 
-def chords(vertices: Floats, elevations: Floats, reference_azimuth: float) -> tuple[Floats, Floats]:
-    """Azimuths between which rings meet convex polygons, exactly.
-
-    The edge and the sensor span a plane with normal m; a ray of azimuth a and elevation e is on the inner side of it
-    where m_x cos a + m_y sin a <= -m_z tan e, an arc in closed form. The chord is where all arcs meet.
-
-    Args:
-        vertices: (C, n, 3) polygons, LiDAR frame, metres.
-        elevations: (R,) rad.
-        reference_azimuth: rad, some azimuth of the target.
-
-    Returns:
-        Right and left end (C, R), rad, relative to the reference; right above left where the ring misses.
-    """
-    m = np.cross(vertices, np.roll(vertices, -1, axis=1))
-    outward = -np.sign((m * vertices.mean(axis=1, keepdims=True)).sum(axis=-1, keepdims=True))
-    m = m * outward
-    across = np.hypot(m[..., 0], m[..., 1])
-    centre = np.angle((-m[..., 0] - 1j * m[..., 1]) * np.exp(-1j * reference_azimuth))
-    cosine = -m[..., 2, None] * np.tan(elevations) / np.maximum(across, 1e-300)[..., None]
-    half = np.where(cosine < -1, -np.inf, np.pi - np.arccos(np.clip(cosine, -1, 1)))
-    return (centre[..., None] - half).max(axis=1), (centre[..., None] + half).min(axis=1)
-
-
 def share_lost(edges: EdgePoints) -> float:
     """Share of rings that return nothing though they meet the target, from those between the lowest and highest."""
     between = edges.ring[-1] - edges.ring[0] + 1
-    return float((between - edges.n_rings + 1.0) / (between + 9.0))
+    tried, lost = KNOWN_LOST
+    return float((between - edges.n_rings + lost) / (between + tried))
 
 
 def missed_rings(problem: Problem, posterior: Posterior, ends: EdgePoints, sensor: SensorModel) -> Floats:
@@ -85,7 +67,7 @@ def missed_rings(problem: Problem, posterior: Posterior, ends: EdgePoints, senso
     narrower = 2 * posterior.offset * float(np.mean(noise.width(ranges) / ranges))  # as the target seems to the rings
     lost = share_lost(ends)
     outer = np.delete(sensor.elevations, slice(ends.ring[0], ends.ring[-1] + 1))
-    right, left = chords(vertices, outer, ends.reference_azimuth)
+    right, left = chords(sight_planes(vertices), outer, ends.reference_azimuth)
     with np.errstate(invalid="ignore"):
         steps = np.nan_to_num((left - right - narrower[:, None]) / ends.azimuth_step, neginf=0.0)
     unseen = np.clip(1.0 - steps, 0.0, 1.0)
@@ -200,8 +182,8 @@ class Firings(Value):
             reference_azimuth=ends.reference_azimuth,
         )
 
-    def log_likelihood(self, corners: Floats) -> Floats:
-        """Logarithm (S,) of the likelihood of polygons (S, n, 3), LiDAR frame, metres, up to a constant."""
+    def log_likelihood(self, corners: Floats, offset: Floats | float = 0.0) -> Floats:
+        """Logarithm (S,) of the likelihood of polygons (S, n, 3), LiDAR frame, metres; no width, so no offset."""
         right, left = self._chords(corners, self.elevations)
         beyond_left, beyond_right = left - self.left, self.right - right
         # A ring far above or below no polygon meets has nothing to say: most of the sensor's.
@@ -231,7 +213,7 @@ class Firings(Value):
 
     def _chords(self, corners: Floats, elevations: Floats) -> tuple[Floats, Floats]:
         """Right and left ends (S, R) in steps; a ring that misses has its left end right of its right end."""
-        right, left = chords(corners, elevations, self.reference_azimuth)
+        right, left = chords(sight_planes(corners), elevations, self.reference_azimuth)
         right, left = np.minimum(right, 4.0) / self.step, np.maximum(left, -4.0) / self.step
         return right, left
 
@@ -296,9 +278,30 @@ def _fired(left: Floats, right: Floats, place: Floats) -> Bools:
     return np.asarray(np.floor(left - place) >= np.ceil(right - place))
 
 
-def scan_log_likelihood(T_lidar_target: Floats, problem: Problem, firings: Firings) -> Floats:
-    """Logarithm (S,) of the likelihood of a scan at poses T_lidar_target (S, 4, 4), up to a constant of the scan."""
-    z, form = vec(inverse(T_lidar_target)), problem.plane
-    on_plane = -0.5 * (((z @ form[:12, :12] + 2 * form[12, :12]) * z).sum(axis=-1) + form[12, 12])
-    corners = problem.target.vertices @ np.swapaxes(T_lidar_target[:, :3, :3], 1, 2)
-    return np.asarray(on_plane + firings.log_likelihood(corners + T_lidar_target[:, None, :3, 3]))
+def scan_log_likelihood(problem: Problem, scan: Scan, ends: EdgePoints) -> LogDensity:
+    """Return the logarithm of the likelihood of a scan, up to a constant, as a function of pose and common offset.
+
+    Args:
+        problem: one target in one scan.
+        scan: the returns.
+        ends: both ends of each ring, on the grid of firings.
+
+    Returns:
+        A function of T_lidar_target (S, 4, 4) and of the offset across the edges (S,), in beam widths.
+    """
+    noise, form = problem.noise, problem.plane
+    rays: Firings | Rays
+    if noise.ideal and not ends.scatter.any():
+        rays = Firings.of(ends, scan, noise.options)
+    else:
+        ranges = np.linalg.norm(ends.points[::2], axis=1)
+        beam, extent = noise.width(ranges) / ranges, 2 * problem.target.circumradius
+        rays = Rays.of(scan, ends, beam, extent, noise.options.odd_ends, share_lost(ends))
+
+    def log_likelihood(T_lidar_target: Floats, offset: Floats) -> Floats:
+        z = vec(inverse(T_lidar_target))
+        on_plane = -0.5 * (((z @ form[:12, :12] + 2 * form[12, :12]) * z).sum(axis=-1) + form[12, 12])
+        corners = apply(T_lidar_target, problem.target.vertices)
+        return np.asarray(on_plane - 0.5 * (offset / noise.COMMON) ** 2 + rays.log_likelihood(corners, offset))
+
+    return log_likelihood

@@ -1,57 +1,72 @@
 """Candidates for the pose: ranked, and gathered in modes, poses that are the same but for their uncertainty.
 
 Expectation propagation takes the chords that rings cut out of the target for linear in the pose, and each ring to leave
-by one given edge. Far away, where few rings meet the target and its orientation is known to many degrees, neither
-holds, and modes are compared by numbers that are off by several units of log likelihood. So where the likelihood itself
-is known, of beams without width, poses are drawn about each mode and the likelihood of each is worked out as it is.
+by one given edge. With many rings that is as good as true, and the best mode leads the rest by far. Where it doesn't,
+few rings meet the target and its orientation is known to some degrees only: modes are compared by numbers that are off
+by several units of log likelihood, and their means by as much as their widths. So poses are drawn about all modes at
+once, and each is weighed by the likelihood of the scan as it is. What is compared is the mass of modes, not their best.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
-from optshape_graph.gaussian import logsumexp
-from optshape_graph.pose.likelihood import (
-    Firings,
-    alternative_labels,
-    exit_probability,
-    missed_rings,
-    scan_log_likelihood,
-)
-from optshape_graph.pose.propagation import Posterior, Problem, concatenate, propagate
+from optshape_graph.pose.likelihood import alternative_labels, exit_probability, missed_rings, scan_log_likelihood
+from optshape_graph.pose.mixture import Components, Samples, sample
+from optshape_graph.pose.propagation import Posterior, Problem, concatenate, edge_geometry, propagate
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import difference, inverse, inverse_covariance, rotation, transform
+from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, rotation, transform
 from optshape_graph.target import Target
-
-MOST_MODES = 4
-"""Modes that are compared by samples."""
-
-FEW_RINGS = 8
-"""Rings up to which the half turn of the best pose is looked at, should no association have led there."""
-
-COMPETING = 25.0
-"""Difference of log likelihoods by association from which on a mode is not in the running."""
 
 ALTERNATIVES = 6
 """How many associations next to the best take part in the estimate."""
 
+SURE = (6, 15.0)
+"""Rings, and lead of the best mode by its associations, at which no poses need be drawn: they never disagreed there."""
 
-SAMPLES = 1024
-"""Poses that are drawn about a mode, in each round."""
+COMPETING = 50.0
+"""Difference of log likelihoods by association from which on a mode is not in the running."""
 
-ROUNDS = (2, 5)
-"""Rounds at least, and at most where the samples are worth few."""
+MOST_MODES = 12
+"""Components about which poses are drawn at first."""
 
-_FREEDOM = 6.0  # degrees of freedom of the t distribution that poses are drawn from: its tails are heavy
-_WIDENING = 1.3  # of the posterior's standard deviations
-_ENOUGH = 100  # effective samples
+APART = (np.radians(3.0), 0.03)
+"""Angle, rad, and distance, target radii, by which their means differ at least: either."""
+
+MODE = (np.radians(25.0), 0.35)
+"""Angle, rad, and distance, target radii, from a mode's pose within which poses belong to it: both."""
+
+ITSELF = np.eye(4)[None]
+"""The symmetry that every target has."""
+
+WIDENING = 1.3
+"""Of the posteriors' standard deviations, where poses are drawn."""
+
+BROAD = (0.25, 0.05)
+"""Standard deviations, rad and target radii, that broader components add to turns and shifts in the plane."""
+
+TRUSTED = 50.0
+"""Effective samples below which samples settle nothing."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledPose(Value):
+    """What samples say of the best mode.
+
+    Attributes:
+        T_target_lidar: (4, 4) posterior mean.
+        offset: mean of the offset across the edges, in beam widths.
+        covariance: (7, 7) of the right perturbation of T_target_lidar, rotation first, and of the offset.
+    """
+
+    T_target_lidar: Floats
+    offset: float
+    covariance: Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,16 +75,18 @@ class Modes(Value):
 
     Attributes:
         candidates: best first; those of the best mode before all others.
-        best: (C,) whether each is of the best mode.
-        margin: difference of log likelihoods between the best mode, all its associations together, and the next;
-            infinite where there is no other.
-        rival: (4, 4) T_lidar_target of the next, or None.
+        best: (C,) whether each is of the best mode, its vertices named as the first's are.
+        margin: logarithm of the best mode's probability over that of all other poses together; infinite where there is
+            no other.
+        rival: (4, 4) T_lidar_target of the likeliest other mode, or None.
+        sampled: the best mode by samples; None where they were not needed, or settle nothing.
     """
 
     candidates: Posterior
     best: Bools
     margin: float = np.inf
     rival: Floats | None = None
+    sampled: SampledPose | None = None
 
     @property
     def weights(self) -> Floats:
@@ -88,7 +105,8 @@ class Modes(Value):
 def rank(problem: Problem, starts: Floats, scan: Scan, ends: EdgePoints) -> Posterior:
     """Find the posterior about each start, likeliest first, each association once.
 
-    A first round tells the starts apart. A second works out the best and the associations next to it.
+    A first round tells the starts apart. A second works out the best, the associations next to it, and the poses that
+    the target's shape takes for it: half a turn, and those that bring it nearest to itself.
 
     Args:
         problem: one target in one scan.
@@ -99,12 +117,23 @@ def rank(problem: Problem, starts: Floats, scan: Scan, ends: EdgePoints) -> Post
     Raises:
         EstimationError: no pose explains the returns.
     """
-    first = _judged(propagate(problem, starts, relinearisations=1, sweeps=2), problem, scan, ends)
+    upright = _upright(starts, problem.target)
+    first = _judged(propagate(problem, upright, relinearisations=1, sweeps=2), problem, scan, ends)
     best = first.select(slice(0, 1))
     labels = np.vstack([best.geometry.labels, alternative_labels(problem, best, ALTERNATIVES)])
-    T = np.repeat(best.T_target_lidar, len(labels), axis=0)
+    turned = _lookalikes(best.T_target_lidar, problem.target)
+    T = np.concatenate([np.repeat(best.T_target_lidar, len(labels), axis=0), turned])
+    labels = np.vstack([labels, edge_geometry(problem, turned).labels])
     second = _judged(propagate(problem, T, relinearisations=1, labels=labels, sweeps=4), problem, scan, ends)
     return _distinct(concatenate(second, first))
+
+
+def _lookalikes(T_target_lidar: Floats, target: Target) -> Floats:
+    """Return a pose (1, 4, 4) turned in its plane by half a turn, and by the best fits of the shape on itself."""
+    vertices = target.polygon[:, 0] + 1j * target.polygon[:, 1]
+    fits = [np.angle(np.vdot(vertices, np.roll(vertices, -k))) for k in range(1, len(target))]
+    turns = np.array([np.pi, *fits])
+    return _upright(transform(rotation(turns[:, None] * [1.0, 0.0, 0.0])) @ T_target_lidar, target)
 
 
 def _judged(posterior: Posterior, problem: Problem, scan: Scan, ends: EdgePoints) -> Posterior:
@@ -127,8 +156,14 @@ def _distinct(posterior: Posterior) -> Posterior:
     return posterior.select(index[np.argsort(-posterior.log_likelihood[index], kind="stable")])
 
 
+def _upright(T: Floats, target: Target) -> Floats:
+    """Turn poses (C, 4, 4) by the target's symmetries so that its z axis is as nearly up as it gets."""
+    turned = inverse(target.symmetry_transforms) @ T[:, None]  # (T_lidar_target S)^-1 = S^-1 T_target_lidar
+    return np.asarray(turned[np.arange(len(T)), turned[:, :, 2, 2].argmax(axis=1)])
+
+
 def compare_modes(candidates: Posterior, problem: Problem, scan: Scan, ends: EdgePoints) -> Modes:
-    """Gather candidates in modes, and compare the best with the next.
+    """Gather candidates in modes, and compare the best with all others.
 
     Args:
         candidates: best first.
@@ -136,177 +171,109 @@ def compare_modes(candidates: Posterior, problem: Problem, scan: Scan, ends: Edg
         scan: the returns.
         ends: both ends of each ring, on the grid of firings.
     """
-    # The likelihood itself is known of beams without width; a beam's own scatter is in the posteriors alone.
-    if problem.noise.ideal and not ends.scatter.any():
-        return modes_by_samples(candidates, problem, Firings.of(ends, scan, problem.noise.options))
-    return modes_by_association(candidates, problem.target)
+    by_association = _compare(candidates, problem.target)
+    if ends.n_rings >= SURE[0] and by_association.margin > SURE[1]:
+        return by_association
+    chosen = candidates.select(np.array(_apart(candidates, problem.target)))
+    density = scan_log_likelihood(problem, scan, ends)
+    components = _components(chosen, scan.points.mean(axis=0), problem.target.circumradius)
+    samples = sample(density, components, problem.target.symmetry_transforms, np.random.default_rng(0))
+    poses = inverse(chosen.T_target_lidar)
+    mass = np.array([samples.weight[same_mode(samples.T, T, problem.target)].sum() for T in poses])
+    first = poses[mass.argmax()]
+    of_first = same_mode(samples.T, first, problem.target)
+    elsewhere = float(samples.weight[~of_first].sum())
+    with np.errstate(divide="ignore"):
+        margin = float(np.log(mass.max()) - np.log(elsewhere))
+    if samples.effective < TRUSTED:
+        margin = min(margin, float(np.log(samples.effective)))
+    others = ~same_mode(poses, first, problem.target)
+    rival = poses[np.where(others, mass, -1.0).argmax()] if others.any() else None
+    best = _within(inverse(candidates.T_target_lidar), first, MODE, ITSELF, problem.target.circumradius)
+    order = np.argsort(~best, kind="stable")
+    inside = Samples(samples.T[of_first], samples.scalar[of_first], samples.weight[of_first], samples.log_integral)
+    sampled = _moments(inside, first, problem.target) if inside.effective > TRUSTED else None
+    return Modes(candidates.select(order), best[order], margin, rival, sampled)
 
 
-def modes_by_association(candidates: Posterior, target: Target) -> Modes:
+def _compare(candidates: Posterior, target: Target) -> Modes:
     """Take the likelihoods of the associations for what they are; the rival is the best outside the best's mode."""
-    best = same_mode(candidates, target)
-    others = np.flatnonzero(~best)
-    if not len(others):
-        return Modes(candidates, best)
-    score = candidates.log_likelihood
-    rival = others[score[others].argmax()]
-    margin = float(np.logaddexp.reduce(score[best]) - score[rival])
-    return Modes(candidates, best, margin, inverse(candidates.T_target_lidar[rival]))
+    poses, score = inverse(candidates.T_target_lidar), candidates.log_likelihood
+    best, others = _within(poses, poses[0], MODE, ITSELF, target.circumradius), ~same_mode(poses, poses[0], target)
+    order = np.argsort(~best, kind="stable")
+    gathered = Modes(candidates.select(order), best[order])
+    if not others.any():
+        return gathered
+    margin = float(np.logaddexp.reduce(score[best]) - np.logaddexp.reduce(score[others]))
+    return replace(gathered, margin=margin, rival=poses[np.where(others, score, -np.inf).argmax()])
 
 
-def modes_by_samples(candidates: Posterior, problem: Problem, firings: Firings) -> Modes:
-    """Compare the modes that are in the running by samples of the likelihood itself.
-
-    Args:
-        candidates: best first.
-        problem: one target in one scan.
-        firings: of the same scan.
-    """
-    groups = _groups(candidates, problem.target)
-    few = len(firings.left) <= FEW_RINGS and len(problem.target.symmetries) == 1
-    if len(groups) < 2 and not few:
-        return modes_by_association(candidates, problem.target)
-    found: list[tuple[SampledMode, Bools]] = []
-    for members in groups:
-        first = candidates.select(np.flatnonzero(members)[:1])
-        mode = sample_mode(first.T_target_lidar[0], first.covariance[0], problem, firings)
-        # Samples may wander off to a mode that is there already.
-        known = next((k for k, (other, _) in enumerate(found) if _meet(mode, other)), None)
-        if known is None:
-            found.append((mode, members))
-        else:
-            other, rest = found[known]
-            found[known] = max(mode, other, key=lambda m: m.effective), rest | members
-    found.sort(key=lambda entry: -entry[0].log_evidence)
-    if few:
-        best = candidates.select(np.flatnonzero(found[0][1])[:1])
-        turned = _half_turn(best.T_target_lidar, problem)
-        mode = sample_mode(turned.T_target_lidar[0], turned.covariance[0], problem, firings)
-        if not any(_meet(mode, other) for other, _ in found):
-            alone = np.append(np.zeros(len(members), dtype=bool), True)
-            candidates = concatenate(candidates, turned)
-            found = [(other, np.append(members, False)) for other, members in found] + [(mode, alone)]
-            found.sort(key=lambda entry: -entry[0].log_evidence)
-    if len(found) < 2:
-        return modes_by_association(candidates, problem.target)
-    (winner, of_winner), (rival, _) = found[:2]
-    order = np.argsort(~of_winner, kind="stable")
-    margin = winner.log_evidence - rival.log_evidence
-    return Modes(candidates.select(order), of_winner[order], margin, rival.T_lidar_target)
+def same_mode(T: Floats, first: Floats, target: Target) -> Bools:
+    """(S,) whether poses T_lidar_target (S, 4, 4) belong to the mode of a first (4, 4), or of its equivalents."""
+    return _within(T, first, MODE, target.symmetry_transforms, target.circumradius)
 
 
-def _half_turn(T_target_lidar: Floats, problem: Problem) -> Posterior:
-    """Posterior about a pose (1, 4, 4) turned upside down in its plane: the usual rival, where rings are few."""
-    return propagate(problem, np.diag([1.0, -1.0, -1.0, 1.0]) @ T_target_lidar, relinearisations=4, sweeps=2)
+def _within(T: Floats, first: Floats, limits: tuple[float, float], symmetries: Floats, size: float) -> Bools:
+    """(S,) whether poses, or their equivalents, are turned and moved by less than limits, rad and sizes."""
+    turned = first[:3, :3].T @ T[:, :3, :3]
+    # The trace of a rotation by x is 1 + 2 cos x.
+    trace = np.einsum("sij,kji->sk", turned, symmetries[:, :3, :3]).max(axis=1)
+    moved = np.linalg.norm(T[:, :3, 3] - first[:3, 3], axis=1)
+    return np.asarray((trace > 1.0 + 2.0 * np.cos(limits[0])) & (moved < limits[1] * size))
 
 
-def _groups(candidates: Posterior, target: Target) -> list[Bools]:
-    """(C,) members of each mode that is in the running, best first."""
-    left = candidates.log_likelihood > candidates.log_likelihood[0] - COMPETING
-    groups: list[Bools] = []
-    while left.any() and len(groups) < MOST_MODES:
-        order = np.argsort(~left, kind="stable")
-        members = np.zeros(len(left), dtype=bool)
-        members[order] = same_mode(candidates.select(order), target)
-        groups.append(members & left)
-        left &= ~members
-    return groups
-
-
-def same_mode(posterior: Posterior, target: Target) -> Bools:
-    """(C,) whether each pose belongs to the same mode as the first."""
-    # Poses within a degree and a hundredth of the target are one pose, however sure each is of itself.
-    size = target.circumradius
-    floor = np.diag(np.array([0.02, 0.02, 0.02, 0.01 * size, 0.01 * size, 0.01 * size])) ** 2
-    return _overlap(posterior.T_target_lidar, posterior.covariance, floor)
-
-
-def _meet(a: SampledMode, b: SampledMode) -> bool:
-    """Whether two modes are the same."""
-    T, covariance = np.stack([a.T_lidar_target, b.T_lidar_target]), np.stack([a.covariance, b.covariance])
-    return bool(_overlap(T, covariance)[1])
-
-
-def _overlap(T: Floats, covariance: Floats, floor: Floats | float = 0.0) -> Bools:
-    """(C,) whether each pose's region of 3 standard deviations meets the first's."""
-    xi = difference(T[0], T)
-    both = covariance + covariance[0] + floor
-    return np.asarray(np.einsum("ci,ci->c", xi, np.linalg.solve(both, xi[..., None])[..., 0]) < 9.0)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SampledMode(Value):
-    """What samples about a mode say of it.
-
-    Attributes:
-        log_evidence: logarithm of the mode's evidence, up to a constant of the scan.
-        T_lidar_target: (4, 4) posterior mean.
-        covariance: (6, 6) of its right perturbation, rotation first.
-        effective: number of independent samples that the weighted ones are worth.
-    """
-
-    log_evidence: float
-    T_lidar_target: Floats
-    covariance: Floats
-    effective: float
-
-
-def sample_mode(T_target_lidar: Floats, covariance: Floats, problem: Problem, firings: Firings) -> SampledMode:
-    """Work out the evidence of a mode.
-
-    Args:
-        T_target_lidar: (4, 4) about which it is.
-        covariance: (6, 6) of its right perturbation, rotation first: about as wide as the mode.
-        problem: one target in one scan.
-        firings: of the same scan.
-    """
-    T = inverse(T_target_lidar)
-    covariance = inverse_covariance(T_target_lidar, covariance)
-    normal, squared = _draws()
-    mean = np.zeros(6)
-    result = SampledMode(-np.inf, T, covariance, 0.0)
-    for number in range(ROUNDS[1]):
-        if number >= ROUNDS[0] and result.effective > _ENOUGH:
+def _apart(candidates: Posterior, target: Target) -> list[int]:
+    """Candidates that are in the running, and differ."""
+    poses, score = inverse(candidates.T_target_lidar), candidates.log_likelihood
+    chosen: list[int] = []
+    for k in np.argsort(-score, kind="stable"):
+        if len(chosen) == MOST_MODES or score[k] < score.max() - COMPETING:
             break
-        root = np.linalg.cholesky(_WIDENING**2 * covariance)
-        xi = mean + normal @ root.T
-        log_density = -0.5 * (_FREEDOM + 6) * np.log1p(squared / _FREEDOM) - np.log(np.diag(root)).sum()
-        poses, log_volume = _moved(T, xi)
-        log_weight = scan_log_likelihood(poses, problem, firings) + log_volume - log_density
-        log_total = float(logsumexp(log_weight))
-        weight = np.exp(log_weight - log_total)
-        effective = 1.0 / float((weight**2).sum())
-        mean = weight @ xi
-        covariance = (weight[:, None] * (xi - mean)).T @ (xi - mean)
-        result = SampledMode(log_total - _LOG_NORMALISER, _moved(T, mean[None])[0][0], covariance, effective)
-        if effective < 0.3 * _ENOUGH:
-            covariance = covariance + root @ root.T / 4  # too few to tell the shape
-    return result
+        if not chosen or not any(_within(poses[chosen], poses[k], APART, ITSELF, target.circumradius)):
+            chosen.append(int(k))
+    return chosen
 
 
-_LOG_NORMALISER = float(
-    np.log(SAMPLES) + math.lgamma((_FREEDOM + 6) / 2) - math.lgamma(_FREEDOM / 2) - 3 * np.log(_FREEDOM * np.pi)
-)
+def _components(posterior: Posterior, centre: Floats, size: float) -> Components:
+    """Components to draw poses T_lidar_target from: about posteriors, and broader ones about the same.
 
+    With two or three rings a target can often be turned about the middle of its returns, or shifted, much further than
+    a posterior that is linear in the pose allows.
 
-@lru_cache(maxsize=1)
-def _draws() -> tuple[Floats, Floats]:
-    """Draws (S, 6) of a t distribution in six dimensions, the same in every call, and their squared lengths (S,)."""
-    rng = np.random.default_rng(0)
-    half = rng.standard_normal((SAMPLES // 2, 6))
-    scale = np.sqrt(rng.chisquare(_FREEDOM, SAMPLES // 2) / _FREEDOM)
-    draws = half / scale[:, None]
-    draws = np.vstack([draws, -draws])
-    draws.setflags(write=False)
-    return draws, (draws**2).sum(axis=1)
-
-
-def _moved(T: Floats, xi: Floats) -> tuple[Floats, Floats]:
-    """Poses (S, 4, 4) moved from T by rotation vectors and translations xi (S, 6), in T's own axes.
-
-    Returns:
-        The poses, and the logarithm (S,) of how much volume of rotations a volume of rotation vectors covers there.
+    Args:
+        posterior: of C poses.
+        centre: (3,) of the returns, LiDAR frame, metres.
+        size: radius of the target, metres.
     """
-    half = np.sinc(np.linalg.norm(xi[:, :3], axis=1) / (2 * np.pi))  # 2 sin(angle / 2) / angle
-    poses = transform(T[:3, :3] @ rotation(xi[:, :3]), T[:3, 3] + xi[:, 3:] @ T[:3, :3].T)
-    return poses, 2 * np.log(np.abs(half) + 1e-300)
+    # (T Exp(xi))^-1 = T^-1 Exp(-Ad(T) xi)
+    J = np.zeros((len(posterior.offset), 7, 7))
+    J[:, :6, :6], J[:, 6, 6] = -adjoint(posterior.T_target_lidar), 1.0
+    narrow = WIDENING**2 * J @ posterior.joint @ np.swapaxes(J, 1, 2)
+    middle = apply(posterior.T_target_lidar, centre[None])[:, 0]
+    turning = np.zeros((len(J), 7))
+    turning[:, 0], turning[:, 3:6] = 1.0, np.cross(middle, [1.0, 0.0, 0.0])
+    broad = narrow + BROAD[0] ** 2 * turning[:, :, None] * turning[:, None]
+    broad[:, [4, 5], [4, 5]] += (BROAD[1] * size) ** 2
+    likely = np.exp((posterior.log_likelihood - posterior.log_likelihood.max()) / 4)
+    weight = 0.5 * likely / likely.sum() + 0.5 / len(likely)
+    mean = np.zeros((len(J), 7))
+    mean[:, 6] = posterior.offset
+    return Components(
+        np.tile(inverse(posterior.T_target_lidar), (2, 1, 1)),
+        np.tile(mean, (2, 1)),
+        np.concatenate([narrow, broad]),
+        np.concatenate([0.75 * weight, 0.25 * weight]),
+    )
+
+
+def _moments(samples: Samples, first: Floats, target: Target) -> SampledPose:
+    """Mean and covariance of samples of T_lidar_target about one of them, the target's equivalents being one."""
+    weight = samples.weight / samples.weight.sum()
+    poses = inverse(target.nearest_equivalent(samples.T, first))
+    mean = inverse(first)
+    for _ in range(3):
+        xi = difference(mean, poses)
+        mean = mean @ exp(weight @ xi)
+    offset = float(weight @ samples.scalar)
+    off = np.column_stack([difference(mean, poses), samples.scalar - offset])
+    return SampledPose(mean, offset, (weight[:, None] * off).T @ off)

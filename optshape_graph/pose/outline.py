@@ -10,8 +10,8 @@ from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.edges import relative_azimuth
 from optshape_graph.factors._rows import triangular
 from optshape_graph.gaussian import chi_square_tail, f_tail
-from optshape_graph.pose.likelihood import chords
 from optshape_graph.pose.propagation import Problem, edge_geometry
+from optshape_graph.pose.rays import chords, sight_planes
 from optshape_graph.pose.surface import SEEN
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
@@ -175,8 +175,8 @@ def coverage(scan: Scan, problem: Problem, T_target_lidar: Floats, angular_noise
     step, outside = edges.azimuth_step, outside_beams(scan, problem, T_target_lidar, angular_noise)
     first = edges.points[::2]
     elevation = np.arctan2(first[:, 2], np.hypot(first[:, 0], first[:, 1]))
-    corners = (target.vertices - T_target_lidar[:3, 3])[None] @ T_target_lidar[:3, :3]
-    right, left = (ends[0] for ends in chords(corners, elevation, edges.reference_azimuth))
+    sides = sight_planes((target.vertices - T_target_lidar[:3, 3])[None] @ T_target_lidar[:3, :3])
+    right, left = (ends[0] for ends in chords(sides, elevation, edges.reference_azimuth))
     slack = step + float(np.median(_reach(problem, ranges, angular_noise) / ranges))
     beyond_left, beyond_right = left - edges.azimuth[::2], edges.azimuth[1::2] - right
     azimuth, _ = relative_azimuth(scan.points)
@@ -185,7 +185,7 @@ def coverage(scan: Scan, problem: Problem, T_target_lidar: Floats, angular_noise
     missing_rings = 0
     if scan.sensor is not None:
         beside = np.r_[: edges.ring[0], edges.ring[-1] + 1 : scan.sensor.n_rings]
-        low, high = chords(corners, scan.sensor.elevations[beside], edges.reference_azimuth)
+        low, high = chords(sides, scan.sensor.elevations[beside], edges.reference_azimuth)
         missing_rings = int(np.count_nonzero(high - low > step + slack))
     return Coverage(
         outside=outside,

@@ -106,6 +106,7 @@ class Posterior(Value):
     Attributes:
         T_target_lidar: (C, 4, 4).
         covariance: (C, 6, 6) of the right perturbation of T_target_lidar, rotation first.
+        joint: (C, 7, 7) of that and the offset.
         offset: (C,) common offset across the edges, in units of the beam's width; positive: the returns lie further in.
         geometry: edge points at these poses.
         inset: (C, M) distance along the ring from each edge point to the boundary, rad, offset and shift apart.
@@ -117,6 +118,7 @@ class Posterior(Value):
 
     T_target_lidar: Floats
     covariance: Floats
+    joint: Floats
     offset: Floats
     geometry: EdgeGeometry
     inset: Floats
@@ -330,6 +332,7 @@ def _sweep(
     posterior = Posterior(
         T_target_lidar=T,
         covariance=np.asarray(step.covariance[:, :6, :6]),
+        joint=np.asarray(step.covariance[:, :7, :7]),
         offset=offset + step.mean[:, 6],
         geometry=geometry,
         inset=np.clip(-(step.information / step.precision) / fast, *problem.intervals[1]),

@@ -85,7 +85,7 @@ class PoseEstimate(Result):
         covariance: (6, 6) of the right perturbation of T_lidar_target: rotation first, in the target's frame.
         status: "ok"; "doubtful" where the returns do not fit the model; "ambiguous" where a different pose is not ruled
             out; "failed" where it is not to be used.
-        reason: why not "ok", else empty.
+        reason: why not "ok"; of an estimate that is, why its certificate is not one, else empty.
         measurement: all whitened residuals, compressed: what factors are made of.
         shared: the same before the errors that scans of one static scene share (ring biases, edge offset) are
             marginalised, for `fuse_static`; each in units of its standard deviation. None for `method="paper"`.

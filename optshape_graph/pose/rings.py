@@ -8,11 +8,11 @@ into one measurement.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.edges import UP, EdgePoints, extract_edge_points, upward, with_top_and_bottom
 from optshape_graph.factors.measurement import refine, template_rows
 from optshape_graph.factors.static import (
@@ -23,20 +23,86 @@ from optshape_graph.factors.static import (
     BiasedMeasurement,
     SharedError,
 )
-from optshape_graph.pose.association import enumerate_poses, fit_plane
+from optshape_graph.pose.association import ReturnsPlane, enumerate_poses, fit_plane
 from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
 from optshape_graph.pose.fit import Evidence
-from optshape_graph.pose.modes import Modes, compare_modes, rank
-from optshape_graph.pose.noise import EdgeNoise, one_scan, plane_measurement, returns_on_plane
+from optshape_graph.pose.modes import Modes, SampledPose, compare_modes, rank
+from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, one_scan, plane_measurement, returns_on_plane
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.outline import Ends, fit_ends, strain_columns, tilt_of_rings
-from optshape_graph.pose.propagation import EdgeGeometry, Problem, edge_geometry
+from optshape_graph.pose.propagation import EdgeGeometry, Posterior, Problem, edge_geometry
 from optshape_graph.pose.result import Ambiguity, Finding
-from optshape_graph.pose.surface import PlaneResiduals, as_seen, displaced, find_surface
+from optshape_graph.pose.surface import PlaneResiduals, Surface, as_seen, displaced, find_surface
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import difference, inverse
+from optshape_graph.se3 import difference, vec, vec_derivative
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Measured(Value):
+    """What was measured, whatever the pose.
+
+    Attributes:
+        scan: the returns, angles put right.
+        angular_noise: standard deviation of an angle, rad; 0 where angles are exact.
+        tilt: how elevations vary with azimuth within rings, see `tilt_of_rings`.
+        edges: both ends of each ring, on the grid of firings.
+        plane: of the returns.
+        returns: all returns against a plane near the target's, with the noise that the sensor file states.
+        off_plane: how they lie off it, and the noise and the biases that they show.
+        surface: the shape in these distances.
+        on_plane: the returns of the plane, with noise and biases as large as they are seen, compressed.
+        problem: the target in this scan.
+    """
+
+    scan: Scan
+    angular_noise: float
+    tilt: tuple[float, float]
+    edges: EdgePoints
+    plane: ReturnsPlane
+    returns: PlaneReturns
+    off_plane: PlaneResiduals
+    surface: Surface
+    on_plane: BiasedMeasurement
+    problem: Problem
+
+
+def measure(scan: Scan, target: Target, options: PoseOptions) -> Measured:
+    """Find both ends of each ring and the plane of the returns, with their noise.
+
+    Raises:
+        EstimationError: the returns span no plane, or no azimuth step is to be found.
+    """
+    assert scan.ring is not None
+    ring, as_recorded = scan.ring, scan
+    scan, angular_noise = level_rings(scan)
+    edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
+    plane = fit_plane(scan.points, ring)
+    returns = returns_on_plane(scan, plane.axes[0], plane.distance, angular_noise, options)
+    off_plane = PlaneResiduals.of(returns, plane, target, ring)
+    seen = as_seen(returns, off_plane).with_elevations(
+        plane.axes[0], ring[off_plane.usual], _elevation_error(scan.sensor)
+    )
+    on_plane = plane_measurement(seen)
+    bounded = edges if angular_noise else _bounded(edges, scan)
+    problem = Problem(bounded, target, one_scan(on_plane).quadratic(), EdgeNoise.of(scan.sensor, options))
+    surface, tilt = find_surface(off_plane), tilt_of_rings(as_recorded)
+    return Measured(scan, angular_noise, tilt, edges, plane, returns, off_plane, surface, on_plane, problem)
+
+
+def _elevation_error(sensor: SensorModel | None) -> float:
+    return sensor.elevation_error if sensor else SensorModel.elevation_error
+
+
+def find_candidates(measured: Measured) -> Posterior:
+    """Find the posterior of the pose under every association that is worth it, likeliest first.
+
+    Raises:
+        EstimationError: no pose explains the returns.
+    """
+    starts = enumerate_poses(measured.edges, measured.plane, measured.problem.target)
+    return rank(measured.problem, starts, measured.scan, measured.edges)
 
 
 def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
@@ -45,54 +111,53 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
     Raises:
         EstimationError: the returns determine no pose at all.
     """
-    # What was measured: ring ends on the grid of firings, and all returns against a plane near the target's.
-    levelled, angular_noise = level_rings(scan)
-    edges = place_on_firings(extract_edge_points(levelled), levelled, angular_noise)
-    assert scan.ring is not None
-    ring, tilt, scan = scan.ring, tilt_of_rings(scan), levelled
-    plane = fit_plane(scan.points, scan.ring)
-    returns = returns_on_plane(scan, plane.axes[0], plane.distance, angular_noise, options)
-    off_plane = PlaneResiduals.of(returns, plane, target, ring)
-    shape = find_surface(off_plane)
-    elevation_error = scan.sensor.elevation_error if scan.sensor else SensorModel.elevation_error
-    seen = as_seen(returns, off_plane).with_elevations(plane.axes[0], ring[off_plane.usual], elevation_error)
-    on_plane = plane_measurement(seen)
-    bounded = edges if angular_noise else _bounded(edges, scan)
-    problem = Problem(bounded, target, one_scan(on_plane).quadratic(), EdgeNoise.of(scan.sensor, options))
-
-    # Every association, the posterior under each, and the best mode against the next.
-    starts = _upright(enumerate_poses(edges, plane, target), target)
-    modes = compare_modes(rank(problem, starts, scan, edges), problem, scan, edges)
+    measured = measure(scan, target, options)
+    scan, edges, problem, on_plane = measured.scan, measured.edges, measured.problem, measured.on_plane
+    modes = compare_modes(find_candidates(measured), problem, scan, edges)
 
     # The best mode in one measurement, at its minimum.
     best, n = modes.candidates.select(slice(0, 1)), len(edges)
+    T, labels, offset = best.T_target_lidar, best.geometry.labels, float(best.offset[0])
+    if modes.sampled is not None:
+        T, offset = modes.sampled.T_target_lidar[None], modes.sampled.offset
+        labels = edge_geometry(problem, T).labels
     of_ends = replace(problem, edges=edges)
-    ends = fit_ends(of_ends, best.T_target_lidar[0], best.geometry.labels[0, :n])
-    on_edges, edge_weight = _edge_measurement(problem, modes, ends, elevation_error)
+    ends = fit_ends(of_ends, T[0], labels[0, :n])
+    if modes.sampled is None:
+        on_edges, edge_weight = _edge_measurement(problem, modes, ends, _elevation_error(scan.sensor))
+    else:
+        on_edges, edge_weight = sampled_measurement(modes.sampled, on_plane)
     shared = on_edges + on_plane
-    exact = one_scan(shared)
+    exact = one_scan(shared).at(T[0])
     T_target_lidar = refine(exact)
-    shared = _widened(displaced(shared, shape, off_plane, target, T_target_lidar), T_target_lidar, modes)
-    measurement = one_scan(shared).at(T_target_lidar)
+
+    # What is uncertain beside: the surface, associations that disagree, ends that scatter more than they should.
+    shared = displaced(shared, measured.surface, measured.off_plane, target, T_target_lidar)
+    if modes.sampled is None:
+        shared = _widened(shared, T_target_lidar, modes)
+    else:
+        shared = replace(shared, stack=shared.stack / ends.factor)
 
     # How the ring ends lie about the edges there.
-    final = edge_geometry(problem, measurement.T_target_lidar[None], best.geometry.labels)
+    final = edge_geometry(problem, T_target_lidar[None], labels)
     return Finding(
         target=target,
         returns=scan,
-        measurement=measurement,
+        measurement=one_scan(shared).at(T_target_lidar),
         exact=exact,
         shared=shared,
-        total_weight=edge_weight + float((1 / returns.sigma**2).sum()),
+        total_weight=edge_weight + float((1 / measured.returns.sigma**2).sum()),
         ambiguity=Ambiguity(modes.margin, modes.rival),
         log_likelihood=modes.log_likelihood,
         edge_points=edges,
-        labels=best.geometry.labels[0, :n],
+        labels=final.labels[0, :n],
         inset=best.inset[0, :n],
         edge_sigma=best.sigma[0, :n],
         edge_residuals=(final.residual[0] + best.inset[0] * final.along[0])[:n],
-        evidence=Evidence(scan, of_ends, off_plane, shape, ends, angular_noise, tilt),
-        objection=_objection(problem, final, float(best.offset[0]), options.min_explained),
+        evidence=Evidence(
+            scan, of_ends, measured.off_plane, measured.surface, ends, measured.angular_noise, measured.tilt
+        ),
+        objection=_objection(problem, final, offset, options.min_explained),
     )
 
 
@@ -104,12 +169,6 @@ def _bounded(edges: EdgePoints, scan: Scan) -> EdgePoints:
     """
     complete = edges.n_rings == edges.ring[-1] - edges.ring[0] + 1
     return with_top_and_bottom(edges, scan) if complete else edges
-
-
-def _upright(T: Floats, target: Target) -> Floats:
-    """Turn poses (C, 4, 4) by the target's symmetries so that its z axis is as nearly up as it gets."""
-    turned = inverse(target.symmetry_transforms) @ T[:, None]  # (T_lidar_target S)^-1 = S^-1 T_target_lidar
-    return np.asarray(turned[np.arange(len(T)), turned[:, :, 2, 2].argmax(axis=1)])
 
 
 def _edge_measurement(
@@ -179,6 +238,47 @@ def _outer_edges(edges: EdgePoints, sigma: Floats, own: Floats) -> tuple[Floats,
     outside = np.abs(edges.side) == UP
     new = np.where(outside, np.sqrt(np.clip(own, 1e-2 * sigma**2, sigma**2)), sigma)
     return new, (np.eye(len(sigma)) * np.sqrt(np.maximum(sigma**2 - new**2, 0.0)))[:, outside]
+
+
+def sampled_measurement(sampled: SampledPose, on_plane: BiasedMeasurement) -> tuple[BiasedMeasurement, float]:
+    """Say of the edges what, with the plane, makes the pose that was sampled, its covariance and the offset's.
+
+    Near the mean (R0, t0) a right perturbation (w, v) is linear in z = [vec R; t]: w is half of what is skew in
+    R0^T R, and v = R0^T (t - t0). w vanishes for a half turn too; two rows of second order, the diagonal of R0^T R less
+    1, tell that apart.
+
+    Returns:
+        The measurement, in z and the common offset, and the sum of 1 / sigma^2, 1/m2.
+    """
+    T = sampled.T_target_lidar
+    scale = np.append(np.ones(6), EdgeNoise.COMMON)
+    total = np.linalg.inv(sampled.covariance) * np.outer(scale, scale)
+    elsewhere, pull = np.zeros((7, 7)), np.zeros(7)  # of the plane, and of the offset's prior
+    plane = one_scan(on_plane).at(T)
+    J = plane.jacobian(T)
+    elsewhere[:6, :6], elsewhere[6, 6] = J.T @ J, 1.0
+    pull[:6], pull[6] = J.T @ plane.residual(T), sampled.offset / EdgeNoise.COMMON
+    # What is left is the edges'. Where samples scatter more than the plane alone would let them, almost nothing is.
+    root = np.linalg.cholesky(total)
+    values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, total - elsewhere).T))
+    values = np.maximum(values, 1e-3)
+    whiten = np.sqrt(values)[:, None] * (root @ vectors).T
+    constant = whiten @ np.append(np.zeros(6), -sampled.offset / EdgeNoise.COMMON) - np.linalg.solve(whiten.T, pull)
+    K = 0.5 * vec_derivative(T).T
+    K[3:] *= 2.0
+    straight = np.array([_diagonal(T, axis) for axis in (1, 2)]) * np.sqrt(0.5 * total[0, 0])
+    A = np.vstack([whiten[:, :6] @ K, straight])
+    r = np.concatenate([constant - whiten[:, :6] @ K @ vec(T), -np.full(2, np.sqrt(0.5 * total[0, 0]))])
+    B = np.concatenate([whiten[:, 6], np.zeros(2)])[:, None]
+    measurement = BiasedMeasurement.from_rows(A, B, r, T, [SharedError(EDGE_OFFSET)])
+    return measurement, float(np.trace(total[4:6, 4:6]))
+
+
+def _diagonal(T: Floats, axis: int) -> Floats:
+    """(12,) row of an entry on the diagonal of R0^T R in z, for T = (R0, t0) (4, 4)."""
+    entry = np.zeros((4, 3))
+    entry[axis] = T[:3, axis]  # column by column
+    return entry.ravel()
 
 
 def _without_shifts(B: Floats) -> Floats:

@@ -93,9 +93,9 @@ class Journal:
         data = json.dumps({"task": task, **line}, allow_nan=False).encode() + b"\n"
         place = self._file.seek(0, os.SEEK_END)
         try:
-            written = self._file.write(data)
-            if written != len(data):
-                raise OSError(f"{written} of {len(data)} bytes were written")
+            left = memoryview(data)
+            while left:  # a disk that is nearly full takes a part first, and says why with the next
+                left = left[self._file.write(left) :]
         except OSError as error:
             self._file.truncate(place)
             raise InputError(

@@ -1,1 +1,1 @@
-"""A ray caster that shares nothing with the simulator: scans by physics, not by the estimator's noise model."""
+"""A ray caster that shares nothing with the simulator: physics that the estimator's noise model is not made of."""

@@ -6,7 +6,8 @@ import os
 import shutil
 from pathlib import Path
 
-from optshape_graph.io import demo_folder, load_sensor, load_target, write_scan
+from optshape_graph import estimate_pose
+from optshape_graph.io import demo_folder, load_sensor, load_target, read_scan, write_scan
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, room, simulate
 from tests.fuzz.readers import SCENE
 
@@ -33,6 +34,9 @@ def make_inputs(folder: Path) -> None:
         shutil.copy(folder / "room.pcd", folder / "clouds" / f"{k}.pcd")
     (folder / "clouds" / "timestamps.txt").write_text("0.0\n0.1\n")
     (folder / "list.txt").write_text("4m.pcd\n8m.pcd\n")
+    estimate_pose(read_scan(folder / "8m.pcd", load_sensor("vlp32c")), load_target("built")).save(
+        folder / "result.json"
+    )
 
 
 def make_bad(folder: Path) -> None:

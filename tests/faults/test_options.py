@@ -19,6 +19,8 @@ for library in ("matplotlib", "pyarrow", "ezdxf"):
     pytest.importorskip(library)
 
 RUNS = {
+    "info": "info 4m.pcd --json out/a.json",
+    "report": "report result.json -o out/a.html",
     "estimate": "estimate 4m.pcd --target target.yaml --sensor sensor.yaml --json out/a.json",
     "detect": "detect room.pcd --target square@1 --sensor vlp16 --json out/a.json",
     "calibrate mocap": "calibrate mocap session.yaml --json out/a.json",
@@ -86,7 +88,9 @@ def values(parameter: click.Parameter, bad: list[str]) -> list[str]:
         return ["", "nonsense", "GLOBAL", *HOSTILE[4:7]]
     if isinstance(kind, click.types.IntParamType | click.types.FloatParamType) or type(kind).__name__ == "Number":
         return list(NUMBERS)
-    written = name in ("output", "plots", "plot", "camchain", "recording") or name.endswith(("_file", "json_path"))
+    written = name in ("output", "html", "plots", "plot", "camchain", "recording") or name.endswith(
+        ("_file", "json_path")
+    )
     if written and name not in ("camera_file", "mocap_file"):
         return list(FOLDERS if isinstance(kind, click.Path) and not kind.file_okay else OUTPUTS)
     if isinstance(kind, click.Path) or name in ("scans", "shapes", "shape"):

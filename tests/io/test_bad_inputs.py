@@ -44,6 +44,8 @@ MAP = (
     '"covariance": [[1,0,0,0,0,0],[0,1,0,0,0,0],[0,0,1,0,0,0],[0,0,0,1,0,0],[0,0,0,0,1,0],[0,0,0,0,0,1]]}], '
     '"trajectory": []}'
 )
+FOLDER: Files = {"folder/a.pcd": PCD + POINTS, "folder/timestamps.txt": "1\n"}
+"""A recording of one cloud."""
 BASE: Files = {"a.pcd": PCD + POINTS, "board.yaml": TARGET, "m.csv": MARKERS, "c.yaml": CAMERA, "a.png": b"no image"}
 """What sessions name."""
 
@@ -97,7 +99,7 @@ def scene(content: str, *parts: str) -> tuple[str, Files, tuple[str, ...]]:
 ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     # clouds
     "no such cloud": (ESTIMATE.format("b.pcd"), {}, ("b.pcd: no such file",)),
-    "a folder as cloud": (ESTIMATE.format("."), {}, (".: no clouds in the folder (.pcd, .ply, .npz)",)),
+    "a folder as cloud": (ESTIMATE.format("."), {}, (".: no clouds in the folder (.pcd, .ply, .npz, ",)),
     "unknown ending": cloud("a.xls", "1 2 3", ": expected a cloud ending in .pcd, .ply, .npz, .npy, .csv, ", "found '.xls'"),
     "empty PCD": cloud("a.pcd", "", "its header has no line 'DATA ...'"),
     "text as PCD": cloud("a.pcd", "hello there\n", "expected one of the keywords VERSION", "found 'hello'"),
@@ -161,7 +163,7 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     ),
     "tags without centres": target(TARGET + "tags: {dictionary: 4X4_50, size: 0.1, centres: {}}\n", "centres: expected 1 or more entries, found 0"),
     "a key with a line break and an escape": target(TARGET + '"a\\nb\\e[2Jc": 1\n', "unknown key 'a\\nb\\x1b[2Jc'"),
-    "a word of a million letters": (MAPPED + "--odometry o.tum", {"o.tum": "w" * 1_000_000 + " 0 0 0 0 0 0 1"}, ("o.tum:1: could not convert string to float: 'www", "www...")),
+    "a word of a million letters": (MAPPED + "--odometry o.tum", FOLDER | {"o.tum": "w" * 1_000_000 + " 0 0 0 0 0 0 1"}, ("o.tum:1: could not convert string to float: 'www", "www...")),
     "a word of blanks": ("estimate a.csv --target paper", {"a.csv": "x,y,z\n1,2,w" + " ," * 3 + " " * 200_000 + "w"}, ("a.csv:2: ",)),
     # sensors
     "no such sensor": ("estimate a.pcd --target paper --sensor vlp61", {"a.pcd": PCD}, ("vlp61: no such file, and the built-in sensors are: ",)),
@@ -192,11 +194,11 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     "camera that looks past its image": camera(("", ""), "c.yaml: camera 'c': the principal point (320, 24) is outside the image of 64 x 48", c_yaml=CAMERA.replace("0, 32", "0, 320")),
     "a camera's keys of no form": camera(("", ""), "c.yaml:1: expected intrinsics with 'schema: optshape/camera/1'", "found the keys: f", c_yaml="f: 500\n"),
     "an image but no camera": camera(("camera: c.yaml\n", ""), "s.yaml:5: views[0].image: an image, but the session names no camera"),
-    "an image that is none": camera(("", ""), "a.png: not an image that OpenCV can read (8 bytes); expected PNG, JPEG"),
-    "an image of too many pixels": camera(("", ""), "a.png: 60000 x 60000 pixels; expected at most 268435456", a_png=big_png()),
+    "an image that is none": camera(("", ""), "a.png: not an image that OpenCV can read (8 bytes); expected PNG, JPEG", board_yaml=TARGET + "chessboard: {inner_corners: [7, 5], square: 0.1}\n"),
+    "an image of too many pixels": camera(("", ""), "a.png: 60000 x 60000 pixels; expected at most 268435456", a_png=big_png(), board_yaml=TARGET + "chessboard: {inner_corners: [7, 5], square: 0.1}\n"),
     # recordings
     "no such recording": ("extract x.bag --list", {}, ("x.bag: no such file or folder",)),
-    "a recording that is none": ("extract x.txt --list", {"x.txt": "x"}, ("x.txt: expected a .bag, .mcap or .db3 file",)),
+    "a recording that is none": ("extract x.txt --list", {"x.txt": "x"}, ("x.txt: expected a .bag, .mcap, .db3 or .pcap file",)),
     "text as bag": ("extract x.bag --list", {"x.bag": "hello"}, ("x.bag: not a readable bag", "rosbag reindex")),
     "text as mcap": ("extract x.mcap --list", {"x.mcap": "hello"}, ("x.mcap: not a readable bag",)),
     "text as db3": ("extract x.db3 --list", {"x.db3": "hello"}, ("x.db3: not a readable bag",)),
@@ -212,9 +214,9 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
         {"folder/a.pcd": PCD + POINTS, "folder/timestamps.txt": "1\n", "m.c3d": "no"}, ("m.c3d: not a readable c3d file",),
     ),
     # maps and trajectories
-    "odometry with a word": (MAPPED + "--odometry o.tum", {"o.tum": "0 0 0 0 0 0 0 one\n"}, ("o.tum:1: could not convert string to float: 'one'",)),
-    "odometry that is no rotation": (MAPPED + "--odometry o.tum", {"o.tum": "0 0 0 0 0 0 0 2\n"}, ("o.tum:1: quaternion [0.0, 0.0, 0.0, 2.0] has norm 2; expected 1",)),
-    "odometry that goes back": (MAPPED + "--odometry o.tum", {"o.tum": "1 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n"}, ("o.tum:2: stamp 0.000000000 does not exceed 1.000000000",)),
+    "odometry with a word": (MAPPED + "--odometry o.tum", FOLDER | {"o.tum": "0 0 0 0 0 0 0 one\n"}, ("o.tum:1: could not convert string to float: 'one'",)),
+    "odometry that is no rotation": (MAPPED + "--odometry o.tum", FOLDER | {"o.tum": "0 0 0 0 0 0 0 2\n"}, ("o.tum:1: quaternion [0.0, 0.0, 0.0, 2.0] has norm 2; expected 1",)),
+    "odometry that goes back": (MAPPED + "--odometry o.tum", FOLDER | {"o.tum": "1 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n"}, ("o.tum:2: stamp 0.000000000 does not exceed 1.000000000",)),
     "map that is no JSON": (MAPPED + "--known k.json", {"k.json": "{", "folder/timestamps.txt": "1\n", "folder/a.pcd": PCD + POINTS}, ("k.json:1: not JSON",)),
     "map with a pose that is none": (
         MAPPED + "--known k.json", {"k.json": MAP.replace("[[1, 0, 0, 0]", "[[2, 0, 0, 0]"), "folder/timestamps.txt": "1\n", "folder/a.pcd": PCD + POINTS},
@@ -230,14 +232,17 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     "wall of no size": scene(SCENE + "walls: [{size: [0, 1], position: [1, 0, 0]}]\n", "walls[0].size[0]: expected a finite number above 0, found 0"),
     "reflectivity above one": scene(SCENE.replace("-1}", "-1, reflectivity: 2}"), "floor.reflectivity: expected a finite number from 0 to 1, found 2"),
     "mesh that is not there": scene(SCENE + "meshes: [{file: chair.ply}]\n", "meshes[0].file: no such file: chair.ply"),
-    "cloud to a name of another form": ("simulate --range 5 -o out.ply", {}, ("out.ply: expected a name ending in .pcd",)),
+    "cloud to a name of another form": ("simulate --range 5 -o out.ply", {}, ("expected a name ending in .pcd, found 'out.ply'",)),
     # results to be shown
     "a result that is of no kind": ("view r.json", {"r.json": '{"schema": "optshape/poem/1"}'}, ("r.json: schema: 'optshape/poem/1' cannot be shown in space; expected one of: ",)),
     "a result of a newer form": ("view r.json", {"r.json": '{"schema": "optshape/estimate/2", "scans": []}'}, ("r.json: schema: 'optshape/estimate/2' cannot be shown in space",)),
     "a result without its scans": ("view r.json", {"r.json": '{"schema": "optshape/estimate/1"}'}, ("r.json: the key 'scans' is missing; found only: schema",)),
+    # information
+    "information on no file": ("info nosuch.pcd", {}, ("nosuch.pcd: no such file or folder",)),
+    "information on a binary file": ("info a.dat", {"a.dat": b"\0\1\2"}, ("a.dat: a binary file of no form that is read here; it begins with 00 01 02",)),
     # shapes
     "shape that is not there": ("design score nosuch", {}, ("nosuch: no such file, and the built-in targets are: ",)),
-    "negative area": ("design optimise --area -1", {}, ("area: expected a positive number; found -1",)),
+    "negative area": ("design optimise --area -1", {}, ("--area", "expected a number of at least 1e-06", "found '-1'")),
     "starts of another search": (
         "design optimise --starts 1 -o o.yaml",
         {"o.starts/start-00000.json": '{"schema": "optshape/design-start/1", "seed": 9, "problem": {}, "start": {"index": 0, "initial": [0,0,0,0,0], "parameters": [0,0,0,0,0], "score": 1, "slack": 1, "iterations": 1}}'},
@@ -255,8 +260,8 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     ),
     "no workers": ("evaluate simulation --workers 0 -o out", {}, ("--workers", "0")),
     # results that cannot be written
-    "results to no folder": ("design score square -o no/such/out.json", {}, ("out.json: cannot be written (No such file or directory)",)),
-    "results over a folder": ("doctor --json folder", {"folder/x": ""}, ("folder: cannot be written",)),
+    "results to no folder": ("design score square -o no/such/out.json", {}, ("nothing can be written to no/such (No such file or directory)",)),
+    "results over a folder": ("doctor --json folder", {"folder/x": ""}, ("folder", "is a directory")),
     "a file where the demo's folder goes": ("demo -o file", {"file": ""}, ("file",)),
 }  # fmt: skip
 

@@ -12,7 +12,8 @@ from optshape_graph.edges import extract_edge_points
 from optshape_graph.io import load_target
 from optshape_graph.pose import PoseOptions
 from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
-from optshape_graph.pose.likelihood import Firings, chords
+from optshape_graph.pose.likelihood import Firings
+from optshape_graph.pose.rays import chords, sight_planes
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 from optshape_graph.simulation.reference import reference_sensor
 
@@ -36,7 +37,9 @@ def brute(firings: Firings, corners: np.ndarray, common: bool, places: int = 960
     """Each ring's likelihood at every place of the grid; averaged over places ring by ring, or together."""
     place = (np.arange(places) + 0.5) / places
     elevations = np.append(firings.elevations, firings.empty)
-    right, left = (a[..., None] / firings.step for a in chords(corners, elevations, firings.reference_azimuth))
+    right, left = (
+        a[..., None] / firings.step for a in chords(sight_planes(corners), elevations, firings.reference_azimuth)
+    )
     n = len(firings.left)
     with np.errstate(invalid="ignore"):
         fired = np.floor(left - place) >= np.ceil(right - place)

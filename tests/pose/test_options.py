@@ -122,8 +122,8 @@ def test_ambiguity_margin() -> None:
     assert estimate_pose(scan, PAPER, options=PoseOptions(ambiguity_margin=margin + 0.1)).status == "ambiguous"
 
 
-def _margin(scan: Scan) -> float:
-    return estimate_pose(scan, PAPER).ambiguity.margin
+def _margin(scan: Scan, **changed: float) -> float:
+    return estimate_pose(scan, PAPER, options=PoseOptions(**changed)).ambiguity.margin  # type: ignore[arg-type]
 
 
 def test_unobservable_sd() -> None:
@@ -169,3 +169,31 @@ def test_methods_and_backends_that_do_not_exist_are_refused() -> None:
         estimate_pose(scan, PAPER, backend="mosek")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="backend is 'mosek'"):
         certify(estimate_pose(scan, PAPER).measurement, np.eye(4), 1.0, "mosek")  # type: ignore[arg-type]
+
+
+def test_largest_sds() -> None:
+    """What is less certain than asked is not ok, and its reason says which direction, how far, and from what."""
+    scan, _ = simulated(12.0, (10, 20, 0), 3)
+    estimate = estimate_pose(scan, PAPER)
+    assert estimate.status == "ok"
+    turn, shift = (np.sqrt(np.linalg.eigvalsh(estimate.covariance[k : k + 3, k : k + 3])[-1]) for k in (0, 3))
+    for sd, options in (
+        (turn, PoseOptions(largest_turn_sd=0.9 * turn)),
+        (shift, PoseOptions(largest_shift_sd=0.9 * shift / PAPER.circumradius)),
+    ):
+        strict = estimate_pose(scan, PAPER, options=options)
+        assert strict.status == "ambiguous"
+        assert strict.reason.startswith("too uncertain: ")
+        assert f"{estimate.edge_points.n_rings} rings" in strict.reason
+        assert sd > 0
+
+
+@pytest.mark.parametrize("share", [1e-4, 0.3])
+def test_odd_ends(share: float) -> None:
+    """Few rings: a half turn differs from the pose by some ring ends, and is the likelier the more of them are odd."""
+    margins = []
+    for seed in range(6):
+        scan, _ = simulated(9.0, (0, 0, 0), seed, sensor="vlp16")
+        margins.append([_margin(scan, odd_ends=s) for s in (share, PoseOptions().odd_ends)])
+    ours, usual = np.array(margins).clip(max=50.0).T
+    assert (np.mean(ours) > np.mean(usual)) == (share < PoseOptions().odd_ends)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from scipy.stats import chi2
@@ -47,20 +47,23 @@ def summary(rows: Sequence[Row]) -> Row:
         "nees": float(np.mean([row["nees"] for row in ok]) / 6) if ok else np.nan,
         "five": float(np.mean([is_ok(row) and is_right(row) for row in five])) if five else np.nan,
         "uncertified": sum(not row["certified"] for row in ok),
+        "unlisted": sum(not row.get("listed", True) for row in rows),
         "ms": 1e3 * float(np.median([row["seconds"] for row in rows])),
     }
 
 
-def calibration(rows: Sequence[Row]) -> list[Row]:
-    """Compare, by bins of the margin, how many choices are wrong with how many the margins promise.
+def agrees(line: Row) -> bool:
+    """Whether the number of wrong choices in a bin is within 99 % of what its margins promise."""
+    return bool(abs(line["wrong"] - line["promised"]) <= 2.58 * line["sd"] + 1)
 
-    Estimates whose own covariance leaves the turn open (over 15 deg) are of no mode in particular and do not count.
-    """
-    judged = [row for row in rows if "margin" in row and row["sd_deg"] < 15.0]
+
+def calibration(rows: Sequence[Row]) -> list[Row]:
+    """Compare, by bins of the margin, how many choices are wrong with how many the margins promise."""
+    judged = [row for row in rows if "margin" in row]
     lines = []
-    for low, high in itertools.pairwise(BINS):
+    for low, high in pairwise(BINS):
         inside = [row for row in judged if low <= max(row["margin"], 0.0) < high]
-        wrong = sum(row["turn_deg"] > FLIPPED_DEG for row in inside)
+        wrong = sum(row["elsewhere"] for row in inside)
         promised = np.array([1 / (1 + np.exp(min(row["margin"], 700.0))) for row in inside])
         lines.append({"from": low, "to": high, "scans": len(inside), "wrong": wrong, "promised": float(promised.sum()),
                       "sd": float(np.sqrt((promised * (1 - promised)).sum()))})  # fmt: skip
@@ -69,12 +72,12 @@ def calibration(rows: Sequence[Row]) -> list[Row]:
 
 def print_report(by_group: dict[str, list[Row]]) -> None:
     """Print a line for each group, and the bins of all."""
-    print(f"{'group':16s} scans   ok right beyond flip nees/dof  5 rings  uncert.   ms")
+    print(f"{'group':16s} scans   ok right beyond flip nees/dof  5 rings  uncert. unlisted   ms")
     groups = {**by_group, "all": [row for rows in by_group.values() for row in rows]}
     for name, rows in groups.items():
         s = summary(rows)
         print(f"{name:16s} {s['scans']:5d} {s['ok']:4d} {s['right']:5d} {s['beyond']:6d} {s['flipped']:4d} "
-              f"{s['nees']:8.2f} {s['five']:8.3f} {s['uncertified']:8d} {s['ms']:5.0f}")  # fmt: skip
+              f"{s['nees']:8.2f} {s['five']:8.3f} {s['uncertified']:8d} {s['unlisted']:8d} {s['ms']:5.0f}")  # fmt: skip
     for b in calibration(groups["all"]):
         print(f"margin {b['from']:4g} to {b['to']:4g}: {b['wrong']} wrong of {b['scans']}, promised "
               f"{b['promised']:.1f} +- {b['sd']:.1f}")  # fmt: skip

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from shlex import quote
-
 from scipy.spatial.transform import Rotation
 
 from optshape_graph._arrays import Floats
+from optshape_graph.names import shell_word
 
 
 def static_transforms(parent: str, child: str, T_parent_child: Floats) -> dict[str, str]:
@@ -18,7 +17,7 @@ def static_transforms(parent: str, child: str, T_parent_child: Floats) -> dict[s
         T_parent_child: (4, 4) pose of the child in the parent.
     """
     x, y, z = (f"{value:.9g}" for value in T_parent_child[:3, 3])
-    parent, child = quote(parent), quote(child)
+    parent, child = shell_word(parent), shell_word(child)
     rotation = Rotation.from_matrix(T_parent_child[:3, :3])
     qx, qy, qz, qw = (f"{value:.9g}" for value in rotation.as_quat(canonical=True))
     roll, pitch, yaw = (f"{value:.9g}" for value in rotation.as_euler("xyz"))

@@ -19,7 +19,9 @@ from gtsam.symbol_shorthand import E, H, M, S
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.mocap.comparison import MocapScan
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors import CheckedFactor, TemplateFactor
+from optshape_graph.factors import CheckedFactor
+from optshape_graph.graph import Templates
+from optshape_graph.graph import solve as minimise
 from optshape_graph.se3 import apply, difference, inverse, skew
 
 SCALE_PRIOR = 0.05
@@ -98,43 +100,36 @@ def solve(
         predicted: numbers of the scans whose markers alone take part, so that they predict the target's pose.
 
     Raises:
-        EstimationError: the scans leave T_lidar_mocap open, or the minimum is not found.
+        EstimationError: the minimum is not found.
+        UnobservableError: the scans leave T_lidar_mocap open; it says in which directions.
     """
-    target, graph, values = scans[0].estimate.target, gtsam.NonlinearFactorGraph(), gtsam.Values()
+    target, factors, values = scans[0].estimate.target, gtsam.NonlinearFactorGraph(), gtsam.Values()
     values.insert(E(0), gtsam.Pose3(T_lidar_mocap))
     near = gtsam.noiseModel.Isotropic.Sigma(3, model.layout_prior)
     for k, vertex in enumerate(target.vertices):
         values.insert(M(k), vertex)
-        graph.push_back(gtsam.PriorFactorPoint3(M(k), vertex, near))
+        factors.push_back(gtsam.PriorFactorPoint3(M(k), vertex, near))
     if model.with_scale:
         values.insert(S(0), 1.0)
-        graph.push_back(gtsam.PriorFactorDouble(S(0), 1.0, gtsam.noiseModel.Isotropic.Sigma(1, SCALE_PRIOR)))
-    for i in sorted({*used, *predicted}):
-        scan = scans[i]
-        values.insert(H(i), gtsam.Pose3(scan.estimate.T_target_lidar))
-        graph.push_back(marker_factor(scan.markers, i, model.noise, model.with_scale))
-        if i in used:
-            graph.push_back(TemplateFactor(scan.estimate.measurement, H(i)))
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setRelativeErrorTol(1e-12)
-    parameters.setAbsoluteErrorTol(1e-12)
-    values = gtsam.Values(gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize())
-    if not np.isfinite(graph.error(values)):
-        raise EstimationError("the motion-capture graph did not converge: its error is not finite")
-    try:
-        marginals = gtsam.Marginals(graph, values)
-        return Solution(
-            T_lidar_mocap=values.atPose3(E(0)).matrix(),
-            covariance=marginals.marginalCovariance(E(0)),
-            layout=np.array([values.atPoint3(M(k)) for k in range(len(target))]),
-            layout_covariance=np.array([marginals.marginalCovariance(M(k)) for k in range(len(target))]),
-            scale=values.atDouble(S(0)) if model.with_scale else 1.0,
-            scale_sigma=float(np.sqrt(marginals.marginalCovariance(S(0))[0, 0])) if model.with_scale else 0.0,
-            T_target_lidar={i: values.atPose3(H(i)).matrix() for i in sorted({*used, *predicted})},
-            covariance_target_lidar={i: marginals.marginalCovariance(H(i)) for i in sorted({*used, *predicted})},
-        )
-    except RuntimeError as error:
-        raise EstimationError(f"the session leaves T_lidar_mocap undetermined ({error})") from error
+        factors.push_back(gtsam.PriorFactorDouble(S(0), 1.0, gtsam.noiseModel.Isotropic.Sigma(1, SCALE_PRIOR)))
+    everyone = sorted({*used, *predicted})
+    for i in everyone:
+        values.insert(H(i), gtsam.Pose3(scans[i].estimate.T_target_lidar))
+        factors.push_back(marker_factor(scans[i].markers, i, model.noise, model.with_scale))
+    returns = Templates.of([scans[i].estimate.measurement for i in used], [[H(i)] for i in used])
+    found = minimise(values, [returns], factors, names={E(0): "T_lidar_mocap"})
+    if not found.converged:
+        raise EstimationError("the motion-capture graph did not converge")
+    return Solution(
+        T_lidar_mocap=found.pose(E(0)),
+        covariance=found.covariance([E(0)]),
+        layout=np.array([found.values.atPoint3(M(k)) for k in range(len(target))]),
+        layout_covariance=np.array([found.covariance([M(k)]) for k in range(len(target))]),
+        scale=found.values.atDouble(S(0)) if model.with_scale else 1.0,
+        scale_sigma=float(np.sqrt(found.covariance([S(0)])[0, 0])) if model.with_scale else 0.0,
+        T_target_lidar={i: found.pose(H(i)) for i in everyone},
+        covariance_target_lidar={i: found.covariance([H(i)]) for i in everyone},
+    )
 
 
 def innovations(

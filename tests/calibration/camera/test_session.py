@@ -36,7 +36,7 @@ def test_files_to_extrinsic(session):
     assert steps[-1] == (2 * SESSION_VIEWS, 2 * SESSION_VIEWS)
     assert [view.scan_name for view in views] == [f"{k}.pcd" for k in range(SESSION_VIEWS)]
     result = calibrate(views)
-    T = result.transform("front", "vlp16")[0]
+    T = result.transform("front", "vlp16", result.corrected)[0]
     assert np.linalg.norm(T[:3, 3] - T_CAMERA_LIDAR[:3, 3]) < 0.03
 
 

@@ -1,0 +1,186 @@
+"""Integrals over poses by importance sampling from a mixture of Student-t components, refitted to what they found.
+
+Unknowns: a pose T, and one scalar beside it. A component has its own base pose, about which a pose is a rotation vector
+and a translation in the base's own axes. (Population Monte Carlo: Cappe, Douc, Guillin, Marin and Robert, Adaptive
+importance sampling in general mixture classes, 2008.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import lgamma
+
+import numpy as np
+
+from optshape_graph._arrays import Floats, Value
+from optshape_graph.gaussian import logsumexp
+from optshape_graph.se3 import inverse, rotation, transform, turns_between
+
+FREEDOM = 5.0
+"""Degrees of freedom of the components: their tails are heavy."""
+
+SAMPLES = 1024
+"""Poses that are drawn in each round."""
+
+ROUNDS = (3, 5)
+"""Rounds at least, and at most while the samples are worth few."""
+
+ENOUGH = 200.0
+"""Effective samples that are worth no further round."""
+
+EVEN = 0.5
+"""Share of the components' weight that is even, so that a mode of little mass is sampled too."""
+
+FEW = 20.0
+"""Effective samples that a component is refitted to at least."""
+
+HEAVY = 0.02
+"""Weight of a single sample that says that no component is where it lies."""
+
+BORN = 4
+"""Components that a round adds at most."""
+
+LogDensity = Callable[[Floats, Floats], Floats]
+"""Of poses (S, 4, 4) and scalars (S,): the logarithm (S,) of a density."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Components(Value):
+    """A mixture over poses and one scalar.
+
+    Attributes:
+        T: (C, 4, 4) base poses.
+        mean: (C, 7) rotation vector, rad, and translation, metres, in the base's axes; and the scalar.
+        covariance: (C, 7, 7).
+        weight: (C,) sum to 1.
+    """
+
+    T: Floats
+    mean: Floats
+    covariance: Floats
+    weight: Floats
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Samples(Value):
+    """Weighted poses.
+
+    Attributes:
+        T: (S, 4, 4).
+        scalar: (S,) beside each.
+        weight: (S,) sum to 1.
+        log_integral: logarithm of the density's integral.
+    """
+
+    T: Floats
+    scalar: Floats
+    weight: Floats
+    log_integral: float
+
+    @property
+    def effective(self) -> float:
+        """Number of independent samples that they are worth."""
+        return float(self.weight.sum() ** 2 / (self.weight**2).sum())
+
+
+def sample(log_density: LogDensity, components: Components, symmetries: Floats, rng: np.random.Generator) -> Samples:
+    """Draw from the components, weigh by the density, and refit them, until the samples are worth enough.
+
+    The samples of all rounds but the first count.
+
+    Args:
+        log_density: of poses and scalars, the same at T and T S for every symmetry S.
+        components: to begin with.
+        symmetries: (K, 4, 4) S; the identity alone where there is no other.
+        rng: source of randomness.
+    """
+    kept: list[tuple[Floats, Floats, Floats]] = []
+    for number in range(ROUNDS[1]):
+        T, scalar, roots = _draw(components, rng)
+        logs, charts = _log_components(components, roots, T, scalar, symmetries)
+        log_drawn = logsumexp(logs, axis=0)
+        log_weight = log_density(T, scalar) - log_drawn
+        if number > 0:
+            kept.append((T, scalar, log_weight))
+        if number + 1 >= ROUNDS[0]:
+            samples = _gathered(kept)
+            if samples.effective > ENOUGH:
+                break
+        share = np.exp(logs - log_drawn + log_weight - logsumexp(log_weight))
+        components = _refitted(components, share, charts)
+    return samples
+
+
+def _gathered(rounds: list[tuple[Floats, Floats, Floats]]) -> Samples:
+    """Samples of several rounds: poses, scalars and logarithms of weights."""
+    T, scalar, log_weight = (np.concatenate(parts) for parts in zip(*rounds, strict=True))
+    total = float(logsumexp(log_weight))
+    return Samples(T, scalar, np.exp(log_weight - total), total - np.log(len(T)))
+
+
+def _draw(components: Components, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
+    """Poses, scalars, and the roots of the covariances they were drawn with."""
+    count = rng.multinomial(SAMPLES, components.weight)
+    which = np.repeat(np.arange(len(count)), count)
+    roots: Floats = np.asarray(np.linalg.cholesky(components.covariance))
+    t = rng.standard_normal((SAMPLES, 7)) / np.sqrt(rng.chisquare(FREEDOM, SAMPLES) / FREEDOM)[:, None]
+    xi = components.mean[which] + (roots[which] @ t[..., None])[..., 0]
+    return components.T[which] @ transform(rotation(xi[:, :3]), xi[:, 3:6]), xi[:, 6], roots
+
+
+def _log_components(
+    components: Components, roots: Floats, T: Floats, scalar: Floats, symmetries: Floats
+) -> tuple[Floats, Floats]:
+    """Logarithm (C, S) of weight times density of each component, and where it has each sample (C, S, 7)."""
+    base = inverse(components.T)
+    turn = turns_between(components.T, T[:, None] @ symmetries)
+    moved = T[:, :3, 3] @ np.swapaxes(base[:, :3, :3], 1, 2) + base[:, None, :3, 3]
+    charts = np.concatenate([turn, moved, np.broadcast_to(scalar, turn.shape[:2])[..., None]], axis=-1)
+    white = (charts - components.mean[:, None]) @ np.swapaxes(np.linalg.inv(roots), 1, 2)
+    squared = (white**2).sum(axis=-1)
+    # How much volume of rotations a volume of rotation vectors covers there: (2 sin(x / 2) / x)^2.
+    volume = 2 * np.log(np.sinc(np.linalg.norm(turn, axis=-1) / (2 * np.pi)))
+    constant = lgamma((FREEDOM + 7) / 2) - lgamma(FREEDOM / 2) - 3.5 * np.log(FREEDOM * np.pi)
+    scale = np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
+    log = constant - scale[:, None] - 0.5 * (FREEDOM + 7) * np.log1p(squared / FREEDOM) - volume
+    return log + np.log(components.weight)[:, None], charts
+
+
+def _refitted(components: Components, share: Floats, charts: Floats) -> Components:
+    """Move each component to the samples that are its own, (C, S) shares of weights.
+
+    A component far from where the density is has one sample or two that weigh all: it follows a power of the weights,
+    such that `FEW` count.
+    """
+    mass = share.sum(axis=1)
+    mean, covariance = components.mean.copy(), components.covariance.copy()
+    for c in np.flatnonzero(mass > 0):
+        p, effective = _tempered(share[c] / share[c].max())
+        new = p @ charts[c]
+        off = charts[c] - new
+        trust = effective / (effective + FEW)
+        mean[c] = new
+        covariance[c] = trust * 1.2 * (p[:, None] * off).T @ off + (1 - trust) * covariance[c]
+    weight = (1 - EVEN) * mass / mass.sum() + EVEN / len(mass)
+    # A sample that weighs much on its own lies where no component is: it becomes one.
+    weighs = share.sum(axis=0)
+    heavy = np.argsort(-weighs)[:BORN]
+    heavy = heavy[weighs[heavy] > HEAVY]
+    owner, born = share[:, heavy].argmax(axis=0), 0.5 * weighs[heavy]
+    return Components(
+        np.concatenate([components.T, components.T[owner]]),
+        np.concatenate([mean, charts[owner, heavy]]),
+        np.concatenate([covariance, components.covariance[owner] / 4]),
+        np.concatenate([weight, born]) / (1.0 + born.sum()),
+    )
+
+
+def _tempered(weight: Floats) -> tuple[Floats, float]:
+    """Weights (S,) that sum to 1, a power of those given, and how many samples they are worth."""
+    for power in (1.0, 0.5, 0.25, 0.125):
+        p = weight**power / (weight**power).sum()
+        effective = 1.0 / float((p**2).sum())
+        if effective > FEW:
+            break
+    return p, effective
