@@ -200,8 +200,9 @@ def plan_view(places: Floats) -> str:
 
 def _places(document: Mapping[str, Any]) -> Floats:
     """(N, 3) where the targets of a result are, in the LiDAR's frame; empty for results that are nowhere."""
-    entries = document.get("scans", ())
-    if kind_of(document) == "detect":
+    kind = kind_of(document)
+    entries = document["scans"] if kind in ("estimate", "detect", "mocap") else ()
+    if kind == "detect":
         entries = [target for scan in entries for target in scan.get("targets", ())]
     found = [entry["T_lidar_target"] for entry in entries if entry.get("T_lidar_target")]
     return np.array(found)[:, :3, 3] if found else np.zeros((0, 3))
