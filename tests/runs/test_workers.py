@@ -117,7 +117,8 @@ def workers_among(children: Path) -> list[str]:
 
 def test_workers_that_cannot_start_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("optshape_graph.runs.workers._serve", os.abort)
-    with pytest.raises(OptshapeError, match="workers end without a result"):
+    monkeypatch.setattr("optshape_graph.runs.workers.MOST_DEATHS", 2)
+    with pytest.raises(OptshapeError, match="workers end before they begin"):
         dict(Pool(2).run(square, numbered(50)))
 
 
