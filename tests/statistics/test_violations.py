@@ -101,8 +101,8 @@ def table(world: str, kinds: dict[str, Callable[[Trial, np.random.Generator], Tr
     "kind", ["folded 5 deg", "mixed pixels 1", "ends 30 cm behind", "cut 20 %", "bad day", "1 stray"]
 )
 def test_a_few_of_each(kind: str) -> None:
-    """Of eight scans at most one is wrong and ok."""
-    assert counts(WORLDS["paper vlp32c"], kind, KINDS[kind], 8, 3)["wrong"] <= 1
+    """Of eight scans at most two are wrong and ok."""
+    assert counts(WORLDS["paper vlp32c"], kind, KINDS[kind], 8, 3)["wrong"] <= 2
 
 
 @pytest.mark.benchmark
