@@ -16,16 +16,16 @@ SESSIONS, VIEWS = 50, 5
 
 
 def with_drawn_lens(views: list[View], rng: np.random.Generator) -> list[View]:
-    """The views with a lens that is as far from the true one as the prior says."""
+    """The views with a lens that is as far from the true one as the prior of focal lengths and principal point says."""
     K = np.array(FISHEYE.K)
-    K[[0, 1], [0, 1]] += INTRINSICS_SIGMA[:2] * rng.normal(size=2)
+    K[[0, 1], [0, 1]] += INTRINSICS_SIGMA[0] * rng.normal()  # of both alike: pixels are square
     K[[0, 1], [2, 2]] += INTRINSICS_SIGMA[3:5] * rng.normal(size=2)
     given = replace(FISHEYE, K=K)
     return [replace(v, image=replace(v.image, camera=given, poses=planar_poses(v.image.points, given))) for v in views]
 
 
 def solved(sessions: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return NEES over degrees of freedom (S, 2), corrected and as clouds come; biases (S,) in sd; and the share of views lost.
+    """Return NEES over dof (S, 2), corrected and as clouds come; biases (S,) in sd; the share of views lost.
 
     Range bias and lens are drawn from their priors.
     """
