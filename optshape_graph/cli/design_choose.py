@@ -125,7 +125,7 @@ def measured(shape: str, lengths: tuple[str, ...], check_bar: float | None, outp
               help="At least, between two edges.")  # fmt: skip
 @click.option("--aspect", type=Number(1.0, 1000.0), default=2.6, show_default=True,
               help="At most: the diameter over the smallest width.")  # fmt: skip
-@click.option("--asymmetry", type=Number(0.0, 1.0, open=True), default=0.19, show_default=True,
+@click.option("--asymmetry", type=Number(0.0, 1.0, open=True), default=0.24, show_default=True,
               help="At least: what a stray return cannot make up for.")  # fmt: skip
 @click.option("--starts", type=click.IntRange(1, 1000), default=6, show_default=True, help="Random starts.")
 @click.option("--placements", type=click.IntRange(4, 10_000), default=96, show_default=True,

@@ -21,7 +21,7 @@ from optshape_graph.factors.static import ELEVATION, RANGE_BIAS
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
 from optshape_graph.pose import PoseEstimate, PoseOptions
-from optshape_graph.se3 import as_transform, inverse
+from optshape_graph.se3 import PoseLike, as_transform, inverse
 from optshape_graph.target import Target
 
 OF_RINGS = (RANGE_BIAS, ELEVATION)
@@ -114,6 +114,15 @@ class Sighting(Value):
         measurements = tuple(m.substituted(np.eye(4), T_lidar_then) for m in self.measurements)
         biased = None if self.biased is None else self.biased.substituted(np.eye(4), T_lidar_then)
         return replace(self, measurements=measurements, shape=shape, biased=biased)
+
+    def on_body(self, T_body_lidar: PoseLike, lidar: str) -> Sighting:
+        """Return the sighting as one from a robot's body, of which poses and odometry are then, with several LiDARs.
+
+        Args:
+            T_body_lidar: (4, 4) of the LiDAR on the body.
+            lidar: its name: each LiDAR's rings have biases of their own.
+        """
+        return replace(self.moved(as_transform(T_body_lidar, "T_body_lidar")), lidar=lidar)
 
     @cached_property
     def hypotheses(self) -> tuple[TemplateMeasurement, ...]:

@@ -1,4 +1,4 @@
-"""Ratios of the design's speed, both sides measured in one run."""
+"""What the design is worth: shapes against the paper's, stray returns, sizes that are chosen, and its speed."""
 
 import time
 
@@ -9,11 +9,20 @@ from optshape_graph.design.family import Family
 from optshape_graph.design.judgement import SIX_ROTATIONS
 from optshape_graph.design.multistart import search
 from optshape_graph.design.polygons import centred, rotated
+from optshape_graph.design.pose_search import attitudes
 from optshape_graph.design.problem import Problem, random_parameters
 from optshape_graph.design.released import sphere_grid
 from optshape_graph.design.rings import UniformRings
 from optshape_graph.design.sensitivity import MU, cell_scores
+from optshape_graph.errors import EstimationError
+from optshape_graph.evaluation.choose import Wish, choose_target
+from optshape_graph.evaluation.metrics import pose_error
+from optshape_graph.io.sensors import load_sensor
+from optshape_graph.io.targets import load_target
+from optshape_graph.pose import estimate_pose
 from optshape_graph.runs.workers import Pool
+from optshape_graph.scan import Scan
+from optshape_graph.simulation import NoiseModel, simulate_target
 
 pytestmark = pytest.mark.benchmark
 
@@ -82,3 +91,106 @@ def test_two_workers_against_one():
     print(f"\n64 starts: two workers {middle - start:.0f} s, one {end - middle:.0f} s: {ratio:.2f} times")
     assert one.starts == two.starts
     assert ratio >= 1.7
+
+
+SENSORS, RANGES, TILT = ("vlp32c", "vlp16", "os1-64"), (10.0, 20.0, 30.0), np.radians(50.0)
+SEED = 20270  # looked at once
+TURNED = np.radians(25.0)
+
+
+def outcome(scan, target, T):
+    """Status, e_r and e_t of an estimate."""
+    try:
+        estimate = estimate_pose(scan, target)
+    except EstimationError:
+        return "failed", np.nan, np.nan
+    error = pose_error(target, estimate.T_lidar_target, T)
+    return estimate.status, error.e_r, error.e_t
+
+
+def trials(target, sensor, distance, count):
+    """Statuses, and e_r and e_t of the scans that are ok."""
+    poses = attitudes(sensor, distance, count, TILT, np.random.default_rng([SEED, int(distance)]))
+    noise = NoiseModel.of(sensor)
+    scans = (simulate_target(target, sensor, T, noise=noise, rng=np.random.default_rng([SEED, k, int(distance)]))
+             for k, T in enumerate(poses))  # fmt: skip
+    statuses, e_r, e_t = zip(*(outcome(scan, target, T) for scan, T in zip(scans, poses, strict=True)), strict=True)
+    ok = np.array(statuses) == "ok"
+    return ok, np.array(e_r)[ok], np.array(e_t)[ok]
+
+
+def turned(errors):
+    """How many of the scans that are ok are turned."""
+    return int((errors[0] > TURNED).sum())
+
+
+def test_the_shape_for_poses_against_the_papers():
+    """300 scans in each cell, 1 m2, all tilts: errors of the scans that are ok; cells where both have 30 of them."""
+    paper, ours = (load_target(name).scaled_to_area(1.0) for name in ("paper", "pose-optimal"))
+    ratios, fewer, flips = [], [], 0
+    for name in SENSORS:
+        for distance in RANGES:
+            (ok_p, *paper_errors), (ok, *errors) = (trials(t, load_sensor(name), distance, 300) for t in (paper, ours))
+            fewer.append((int((~ok).sum()), int((~ok_p).sum())))
+            flips += turned(errors)
+            row = [np.quantile(e, q) / np.quantile(p, q) if min(len(e), len(p)) >= 30 else np.nan
+                   for e, p in zip(errors, paper_errors, strict=True) for q in (0.5, 0.95)]  # fmt: skip
+            ratios.append(row)
+            print(f"\n{name} at {distance:g} m: e_r, e_t median, 95 % over the paper's: {np.round(row, 2)}; "
+                  f"not ok {fewer[-1][0]}, the paper's {fewer[-1][1]}; turned and ok {turned(errors)}, "
+                  f"the paper's {turned(paper_errors)}", end="", flush=True)  # fmt: skip
+    ratios = np.array(ratios)
+    print(f"\nmeans: e_r {np.nanmean(ratios[:, 0]):.3f} {np.nanmean(ratios[:, 1]):.3f}, "
+          f"e_t {np.nanmean(ratios[:, 2]):.3f} {np.nanmean(ratios[:, 3]):.3f}; worst {np.nanmax(ratios):.2f}; "
+          f"not ok {np.sum(fewer, axis=0)}; turned and ok {flips}")  # fmt: skip
+    assert flips == 0
+    assert np.sum(fewer, axis=0)[0] < np.sum(fewer, axis=0)[1]
+    assert (np.nanmean(ratios, axis=0) <= 0.95).all()
+    assert np.nanmax(ratios) <= 1.05
+
+
+def test_a_stray_return_turns_no_pose():
+    """A return within a beam beyond the end of a ring, on 1,000 scans of the three sensors."""
+    target, wrong, statuses = load_target("pose-optimal").scaled_to_area(1.0), 0, []
+    for k in range(1000):
+        rng = np.random.default_rng([SEED, 7, k])
+        sensor = load_sensor(SENSORS[k % 3])
+        distance = float(rng.uniform(6.0, 14.0 if sensor.name == "vlp16" else 20.0))
+        T = attitudes(sensor, distance, 4, TILT, rng)[0]
+        scan = simulate_target(target, sensor, T, noise=NoiseModel.of(sensor), rng=rng)
+        status, e_r, _ = outcome(with_stray(scan, sensor, T, rng), target, T)
+        statuses.append(status)
+        wrong += status == "ok" and e_r > TURNED
+    print(f"\n{statuses.count('ok')} ok, {len(statuses) - statuses.count('ok')} not; turned and ok {wrong}")
+    assert wrong == 0
+
+
+def with_stray(scan, sensor, T, rng):
+    """The scan and one return more, on the target's plane, a beam beyond an end of one of its rings."""
+    ring = rng.choice(np.unique(scan.ring))
+    mine = np.flatnonzero(scan.ring == ring)
+    azimuth, left = np.arctan2(scan.points[mine, 1], scan.points[mine, 0]), bool(rng.integers(2))
+    last = scan.points[mine[azimuth.argmax() if left else azimuth.argmin()]]
+    beam = sensor.beam_divergence + sensor.beam_aperture / np.linalg.norm(last)
+    turn = (1 if left else -1) * max(beam, sensor.azimuth_step)
+    c, s = np.cos(turn), np.sin(turn)
+    ray = np.array([c * last[0] - s * last[1], s * last[0] + c * last[1], last[2]])
+    stray = ray * (T[:3, 0] @ T[:3, 3]) / (T[:3, 0] @ ray)
+    return Scan(points=np.vstack([scan.points, stray]), ring=np.append(scan.ring, ring), sensor=sensor, name="stray")
+
+
+@pytest.mark.parametrize("name", ["vlp16", "vlp32c", "os0-64", "os1-64", "os1-128", "xt32"])
+def test_choose_for_six_sensors_at_three_ranges(name):
+    for distance in (4.0, 7.0, 10.0):
+        start = time.process_time()
+        wish = Wish(load_sensor(name), distance, np.radians(2.0), 0.04)
+        choice = choose_target(wish, [load_target("pose-optimal")])
+        seconds = time.process_time() - start
+        chosen, smaller = choice.chosen, choice.smaller[0][0]
+        e_r, e_t = np.degrees(chosen.quantile(chosen.e_r)), 1e3 * chosen.quantile(chosen.e_t)
+        ok = chosen.statuses.count("ok")
+        print(f"\n{name} at {distance:g} m: {chosen.target.area:.3f} m2, {e_r:.2f} deg, {e_t:.1f} mm, {ok} ok, "
+              f"{seconds:.0f} s", end="")  # fmt: skip
+        assert chosen.passes
+        assert not smaller.passes
+        assert seconds < 60

@@ -77,3 +77,16 @@ def test_mocap_writes_the_table_and_says_what_was_left_out(tmp_path):
     assert document["mean"]["rmse_m"] < 0.05
     assert document["published_mean"] is None
     assert len(document["left_out"]) == 2
+
+
+def test_paper_makes_every_figure_and_prints_its_tables(tmp_path):
+    from optshape_graph.cli.evaluate_paper import command
+
+    arguments = ["--draws", "1", "--plot-format", "svg", "-o", str(tmp_path)]
+    result = CliRunner().invoke(command, arguments, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    numbers = {path.stem.split("-")[1] for path in tmp_path.glob("figure-*.svg")}
+    assert numbers == {"3", "4", "5", "7", "8", "9", "13", "14"}
+    assert (tmp_path / "table1.csv").read_text().count("\n") == 14  # thirteen rows and the head
+    assert "0.47" in result.output  # the paper's worst row
+    assert "figure 11 and 12: not made" in result.output

@@ -6,7 +6,7 @@ import pytest
 from optshape_graph import Target
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.mapping import Landmark, LandmarkSlam, Map, Sighting, Start, solve_batch
-from optshape_graph.se3 import inverse
+from optshape_graph.se3 import difference, inverse
 from tests.factors.support import TARGET, measure, retract
 from tests.mapping.support import at, covariance, loop
 
@@ -201,3 +201,23 @@ def test_bad_odometry_changes_nothing():
         slam.covariance(["x"])
     with pytest.raises(InputError, match="expected at least 1"):
         LandmarkSlam(confirmations=0)
+
+
+def test_several_lidars_of_one_robot_make_one_map():
+    rng, slam = np.random.default_rng(11), LandmarkSlam(confirmations=1)
+    mounted = {"front": at(0.5, 0.1, 0.1, 0.8), "rear": at(-0.4, 0.0, np.pi - 0.2, 0.8)}
+    targets = {"a": at(6.0, 1.0, 0.3), "b": at(-6.0, 1.0, 3.0)}
+    bodies = [at(0.4 * i, 0.1 * i, 0.1 * i) for i in range(6)]
+    for i, T in enumerate(bodies):
+        motion = inverse(bodies[i - 1]) @ T if i else None
+        slam.add_odometry(float(i), motion, covariance([0.01] * 6) if i else None)
+        slam.add_measurements([
+            Sighting(TARGET, (measure(rng, inverse(X) @ T @ mounted[lidar]),), name).on_body(mounted[lidar], lidar)
+            for lidar, (name, X) in zip(mounted, targets.items(), strict=True)
+        ])  # fmt: skip
+    solution = solve_batch(slam.problem())
+    assert set(solution.keys.biases) == {(0, "front"), (0, "rear")}
+    for name, X in targets.items():
+        error = difference(solution.landmarks[name], X)
+        # 99.9 % of chi-square with 6 degrees of freedom.
+        assert error @ np.linalg.solve(solution.covariance([name]), error) < 22.5

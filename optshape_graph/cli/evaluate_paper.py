@@ -1,0 +1,75 @@
+"""`optshape evaluate paper`: the paper's figures and tables, made again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from optshape_graph.cli.console import say
+from optshape_graph.cli.options import FOLDER, force_option, outside_option, seed_option
+
+
+@click.command(epilog="\b\nExample:\n  optshape evaluate paper --draws 5 --mocap recordings -o paper")
+@click.option(
+    "--draws", type=click.IntRange(1, 10_000), default=5, show_default=True, help="Scans of a row of Table I."
+)
+@click.option("--mocap", type=click.Path(file_okay=False, exists=True, path_type=Path), metavar="DIR",
+              help="Session folders with markers, for Table II.")  # fmt: skip
+@click.option("--plot-format", type=click.Choice(["png", "svg", "pdf"]), default="png", show_default=True,
+              help="Of the figures.")  # fmt: skip
+@seed_option("Of everything random.")
+@outside_option
+@force_option
+@click.option("-o", "--output", type=FOLDER, default=Path("paper"), show_default=True, help="Folder to write to.")
+def command(
+    draws: int,
+    mocap: Path | None,
+    plot_format: str,
+    seed: int,
+    allow_outside: bool,
+    force: bool,
+    output: Path,
+) -> None:
+    """Make the paper's figures and tables again, those that data allow, and say which can't be made and why.
+
+    Tables I and II are printed with the paper's columns: as printed, then ours, RMSE [m] (percent of the distance),
+    e_t [m], e_r [deg].
+    """
+    from optshape_graph.cli.console import print_table, progress_bar
+    from optshape_graph.cli.outputs import Outputs
+    from optshape_graph.evaluation.mocap import evaluate_mocap, find_sessions
+    from optshape_graph.evaluation.paper import NOT_REPRODUCED, columns_of, table_1, table_2
+    from optshape_graph.evaluation.published import TABLE_1, TABLE_2
+    from optshape_graph.evaluation.tables import write_csv
+    from optshape_graph.io.targets import load_target
+    from optshape_graph.viz.paper import figures
+    from optshape_graph.viz.style import save_figure
+
+    Outputs([], force=force).folder("--output", output)
+    target = load_target("paper")
+    for name, figure in figures(target, seed).items():
+        say(f"picture: {save_figure(figure, output / f'{name}.{plot_format}')}")
+    with progress_bar("Table I") as progress:
+        rows = table_1(target, output / "tasks", draws, seed, progress)
+    write_csv(output / "table1.csv", rows)
+    columns = ["orientation", "distance [m]", "returns: paper / ours", "e_q [m]", "paper, as printed"]
+    print_table(
+        f"Table I: simulation, noise level 1, medians of {draws} scans",
+        [*columns, "ours", "the paper's method, again"],
+        columns_of(TABLE_1, rows, ("global", "paper")),
+    )
+    if mocap is None:
+        say("Table II needs recordings with motion capture: --mocap DIR")
+    else:
+        with progress_bar("Table II") as progress:
+            recorded, _ = evaluate_mocap(find_sessions(mocap, allow_outside=allow_outside), None, progress)
+        write_csv(output / "table2.csv", recorded)
+        print_table(
+            "Table II: recordings, leave-one-out (the paper's on markers stretched by 3 %)",
+            [*columns, "ours"],
+            columns_of(TABLE_2, table_2(recorded), ("ours",)),
+        )
+    for number, why in NOT_REPRODUCED.items():
+        say(f"figure {number}: not made: {why}")
+    say("figure 10, the charts over 2 to 40 m: optshape evaluate simulation")
