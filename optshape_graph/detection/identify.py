@@ -150,7 +150,7 @@ def _fit(scan: Scan, ordered: OrderedScan, candidate: Candidate, look: OutlineFi
         rows = _returns_at(ordered, target, look)
         if np.array_equal(ring_ends(ordered, rows), ends):
             break
-    for _ in range(ordered.options.rounds):
+    for _ in range(max(ordered.options.rounds, 1)):
         try:
             estimate = estimate_pose(scan.select(ordered.index[rows]), target, options=ordered.options.pose)
         except EstimationError as error:

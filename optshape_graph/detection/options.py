@@ -14,8 +14,8 @@ from optshape_graph.pose import PoseOptions
 class DetectionOptions:
     """Settings of `detect_targets`. The defaults suit spinning LiDARs of 16 to 128 rings.
 
-    Each attribute says its unit, how its default was chosen, and the test in tests/detection that fails when it is
-    wrong.
+    Each attribute says its unit, how its default was chosen, and the test in tests/detection that notices when it is
+    wrong; test_options.py names those that no test there notices.
 
     Attributes:
         longest_gap: azimuth steps. Two returns of a ring that are further apart are cut apart. Rings on real targets
