@@ -42,12 +42,13 @@ def before_a_wall() -> tuple[Scan, list]:
 
 WRONG = [
     ("longest_gap", 0.5, free), ("steepest", np.radians(5.0), free), ("jump_sigmas", 0.3, free),
-    ("fewest_returns", 60, free), ("rings_apart", 0, free), 
+    ("fewest_returns", 60, free), ("rings_apart", 0, free),
     ("patch_sigmas", 0.1, free), ("band_sigmas", 0.2, free), ("warp", 1e-6, free), ("fewest_rings", 40, free),
     ("size_seen", 1.3, free), ("size_excess", -0.4, free), ("thickest_limb", 3.0, with_arm),
     ("limb_slack", -20.0, with_arm), ("rim", 0.01, free), ("side_strip", 2.0, before_a_wall),
     ("hung_before", 2.0, before_a_wall),
-    ("pierced_share", 0.1, with_pole), ("first_look", 1.1, free), ("least_evidence", Evidence(*[2.0] * 9), free), ("sure_evidence", Evidence(*[2.0] * 9), free),
+    ("pierced_share", 0.1, with_pole), ("first_look", 1.1, free),
+    ("least_evidence", Evidence(*[2.0] * 9), free), ("sure_evidence", Evidence(*[2.0] * 9), free),
     ("pose", PoseOptions(ambiguity_margin=1e9), free),
 ]  # fmt: skip
 
