@@ -89,12 +89,7 @@ def command(
             ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "fit", "margin"],
             rows,
             "score: 0 to 1. fit: chi-square per degree of freedom of plane / edges, or what makes a pose doubtful, or "
-<<<<<<< HEAD
-            "the surface no target. "
-            "margin: log likelihood to the next of the targets asked for, where one fits as well.",
-=======
             "the surface no target. margin: log likelihood to the next target asked for, where one fits as well.",
->>>>>>> main
             json_path,
             html,
             "detect",
