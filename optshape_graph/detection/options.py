@@ -28,37 +28,48 @@ class DetectionOptions:
         fewest_returns: a run of fewer returns has no direction. Three are the fewest with a residual.
             Test: test_segments.py, ends of a panel.
         rings_apart: rings. Runs of one surface are linked up to this many rings apart. A ring on a real target may
-            have no return at all, so two. Test: test_detect.py, empty ring.
+            have no return at all, so two. Test: test_options.py.
         tilt_window: rad. Runs near each other vote for one plane if the tilts that they stand for agree this well.
-            Test: test_detect.py, found with its returns.
+            Test: test_options.py.
         patch_sigmas: standard deviations of a return about its plane. A run whose root mean square distance is larger
-            is not of that plane. Test: test_detect.py, hung before a wall.
+            is not of that plane. Test: test_options.py.
         band_sigmas: standard deviations of a return about its plane. A return further off the plane is not the
-            target's. 2.5 keep 98.8 %. Test: test_detect.py, found with its returns.
+            target's. 2.5 keep 98.8 %. Test: test_options.py.
         warp: metres, standard deviation. How far the surface of a target departs from the plane through its returns:
-            boards bend. Test: test_recordings.py, its returns.
+            boards bend. Test: test_options.py.
         fewest_rings: rings on a target. The ends of three rings say little more than its size.
-            Test: test_candidates.py, three rings.
+            Test: test_options.py.
         size_seen: share of a target's area, and of its spread, that must be covered in full view.
-            Test: test_candidates.py, sizes.
-        size_seen_hidden: the same where something stands before the target. Test: test_candidates.py, sizes.
+            Test: test_options.py.
+        size_seen_hidden: the same where something stands before the target. Test: test_options.py.
         size_seen_cut: the same where the target reaches the lowest or highest ring. The nearest recorded boards do.
-            Test: test_candidates.py, sizes.
+            Test: test_options.py.
         size_excess: share by which a target may seem too large. Half a step at both ends of each ring, mixed returns
-            and a bit of a stand add up to this at most. Test: test_candidates.py, sizes.
+            and a bit of a stand add up to this at most. Test: test_options.py.
         thickest_limb: metres. Arms and poles are up to this wide. Test: test_candidates.py, an arm.
         limb_slack: azimuth steps by which a line through two ring ends may miss a third.
             Test: test_candidates.py, a convex outline has no limbs.
-        least_evidence: the share of each kind that a target must reach. Stands and arms touch it, hands hide it,
-            returns get lost. Tests: test_detect.py, test_recordings.py.
+        least_evidence: the share of each kind below which a surface is no target. Stands and arms touch targets, hands
+            hide them, returns get lost. Test: test_options.py.
+        sure_evidence: the share of each kind below which a target is not named ok. The recorded boards stay above by
+            0.03 at least, those held in hands included. Test: test_options.py.
         rim: width of the strip beside the target that is looked at, as a share of the distance from its origin to its
-            outline. Test: test_detect.py, window in a wall.
+            outline. Test: test_options.py.
+        side_strip: metres beyond each side in which the next face of a box is looked for, past what the noise blurs.
+            Six rays at least. Test: test_options.py.
+        hung_before: metres to the nearest wall that a target may hang before. Test: test_options.py.
+        grazing: rad. The floor before a box is seen at up to this angle of incidence: 15 m away, from 1.3 m.
+            Test: test_options.py.
         pierced_rays: rays of a ring that pass through the target's place, at least, before the ring is not its.
             Test: test_detect.py, pole in the plane.
         pierced_share: and their number as a multiple of the ring's returns on it. Test: test_detect.py, pole in the
             plane.
-        rounds: the returns are chosen again, by the pose that they gave, at most this often. The recorded boards come
-            to rest in two. Test: test_detect.py, an arm in its plane.
+        rounds: the returns are chosen again, by the outline laid over them, at most this often. The recorded boards
+            come to rest in two. Test: test_options.py.
+        first_look: share of ring ends on an outline laid over them below which a target is turned down before its pose
+            is estimated. Right targets reach 0.87 or more. Test: test_options.py.
+        first_look_odds: log odds by which a target's outline may fit worse than another's before it is turned down.
+            Twice the margin below which two poses count as equally likely. Test: test_options.py.
         pose: settings of the pose estimator, which judges each candidate.
     """
 
@@ -94,10 +105,9 @@ class DetectionOptions:
     side_strip: float = 0.05
     hung_before: float = 0.2
     grazing: float = float(np.radians(85.0))
-    blooming: float = 0.025
     pierced_rays: int = 6
     pierced_share: float = 3.0
     rounds: int = 3
     first_look: float = 0.6
-    first_look_odds: float = 30.0
+    first_look_odds: float = 10.0
     pose: PoseOptions = field(default_factory=PoseOptions)
