@@ -295,9 +295,12 @@ def _stamps(path: Path, lines: list[str]) -> Facts:
         raise InputError(f"{path}: not called {', '.join(STAMP_FILES)}")
     words = [word for line in lines if line.strip() and not line.startswith("#") for word in line.split(",")[:1]]
     stamps = [stamp for word in words if (stamp := parse_stamp(word.strip().replace(" ", "T", 1))) is not None]
-    return {"form": "stamps of the files beside it", "stamps": len(stamps),
-            "span": _span(min(stamps), max(stamps)) if stamps else "none",
-            "numbers": {"stamps": len(stamps)} | ({"span_s": [min(stamps), max(stamps)]} if stamps else {})}  # fmt: skip
+    facts: Facts = {"form": "stamps of the files beside it", "stamps": len(stamps), "span": "none"}
+    facts["numbers"] = {"stamps": len(stamps)}
+    if stamps:
+        facts["span"] = _span(min(stamps), max(stamps))
+        facts["numbers"]["span_s"] = [min(stamps), max(stamps)]
+    return facts
 
 
 def _angles(path: Path) -> Facts:

@@ -87,7 +87,7 @@ class CameraCalibration(Result):
     shapes: Mapping[tuple[str, str], MeasuredShape]
     findings: tuple[Finding, ...]
     sightings: tuple[Sighting, ...]
-    passed_over: PassedOver = field(default_factory=PassedOver)
+    passed_over: PassedOver = field(default_factory=PassedOver, compare=False)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -69,7 +69,7 @@ class MocapCalibration(Result):
     scans: tuple[MocapScan, ...]
     left_out: tuple[LeftOut, ...]
     findings: tuple[Finding, ...]
-    passed_over: PassedOver = field(default_factory=PassedOver)
+    passed_over: PassedOver = field(default_factory=PassedOver, compare=False)
 
     @property
     def target(self) -> Target:

@@ -244,6 +244,6 @@ def _ouster_sdk() -> Any:
     except ImportError as cause:
         raise MissingExtraError(
             f"ouster-sdk could not be imported ({cause}). pip cannot install the extras 'ros' and 'ouster' together "
-            "(ouster-sdk asks for rosbags 0.9.23); install the extra 'ros', then: pip install --no-deps ouster-sdk laspy"
+            "(ouster-sdk asks for rosbags 0.9.23): install 'ros', then: pip install --no-deps ouster-sdk laspy"
         ) from cause
     return ouster.sdk.core

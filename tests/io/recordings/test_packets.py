@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import struct
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from optshape_graph import InputError
+from optshape_graph.errors import MissingExtraError
 from optshape_graph.io import load_sensor
-from optshape_graph.io.recordings import Recording
+from optshape_graph.io.recordings import Recording, packets
 from optshape_graph.io.recordings.packets import PACKET_BYTES, is_capture
 from tests.io.recordings.writing import maker, write_bag
 from tests.io.refusal import read_or_refused
