@@ -111,7 +111,7 @@ def test_numbers_beside_the_words(tmp_path: Path) -> None:
     (tmp_path / "a.pcd").write_bytes(odd.pcd())
     (tmp_path / "a.txt").write_text(odd.TUM)
     _, said = info(str(tmp_path / "a.pcd"), str(tmp_path / "a.txt"), "--json", str(tmp_path / "i.json"))
-    assert "numbers" not in said
+    assert "range_m" not in said
     cloud, trajectory = (file["numbers"] for file in json.loads((tmp_path / "i.json").read_text())["files"])
     assert cloud["points"] == cloud["returns"] == 12
     assert cloud["n_rings"] == 4
