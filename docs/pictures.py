@@ -37,7 +37,7 @@ def drive() -> Map:
     rng, sensor = np.random.default_rng(0), load_sensor("vlp32c")
     noise, drift = NoiseModel.of(sensor), MotionNoise(metres=0.05, radians=np.radians(0.5))
     bias = noise.draw_range_bias(sensor.n_rings, rng)
-    targets = [load_target(name) for name in ("paper", "triangle", "optimal")]
+    targets = [load_target(name) for name in ("paper", "triangle", "pose-optimal")]
     places = [(8.0, 3.0, 0.3), (-6.5, -4.0, -2.6), (1.0, -7.0, -1.4)]
     scene = room([(t, pose_from_rpy([x, y, 0.1], [0, 0, yaw])) for t, (x, y, yaw) in zip(targets, places, strict=True)])
     slam, before = LandmarkSlam(name="of the LiDAR"), np.eye(4)

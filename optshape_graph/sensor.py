@@ -28,6 +28,8 @@ class SensorModel(Value):
         beam_crossing: where the beams cross, horizontal distance from the axis, metres; drivers report heights as if
             they met on the axis.
         azimuth_offsets: (R,) rad, each ring's azimuth relative to the sensor's at the time it fires; None: all 0.
+        firing_phases: (R,) when each ring fires, as a share of the cycle of firings, in [0, 1); None: all at once.
+            The sensor turns clockwise, seen from above, by an azimuth step in a cycle.
         range_resolution: ranges are multiples of it, metres; 0: not quantised.
         min_range: nearer returns are not reported, metres.
         max_range: farther returns are not reported, metres.
@@ -47,6 +49,7 @@ class SensorModel(Value):
     beam_aperture: float = 0.0
     beam_crossing: float = 0.0
     azimuth_offsets: Floats | None = None
+    firing_phases: Floats | None = None
     range_resolution: float = 0.0
     min_range: float = 0.0
     max_range: float = np.inf
@@ -92,6 +95,14 @@ class SensorModel(Value):
                     f"found {offsets.size}"
                 )
             object.__setattr__(self, "azimuth_offsets", offsets)
+        if self.firing_phases is not None:
+            phases = frozen(self.firing_phases)
+            if phases.shape != elevations.shape or not ((phases >= 0) & (phases < 1)).all():
+                raise InputError(
+                    f"sensor '{self.name}': expected {len(elevations)} firing times within the firing period, one per "
+                    f"ring, found {phases.size} from {phases.min(initial=0.0):g} to {phases.max(initial=0.0):g} periods"
+                )
+            object.__setattr__(self, "firing_phases", phases)
         object.__setattr__(self, "elevations", elevations)
 
     def __repr__(self) -> str:

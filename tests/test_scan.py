@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from optshape_graph import InputError, Scan
+from optshape_graph.scan import without_duplicates
 
 
 def test_select_keeps_fields_together() -> None:
@@ -39,3 +40,13 @@ def test_scans_are_equal_by_value() -> None:
     assert scan != Scan(points, name="a")
     assert scan != Scan(points + 1e-12, ring=[0, 0, 1, 1], name="a")
     assert repr(scan) == "Scan('a', 4 returns, 2 rings)"
+
+
+def test_duplicates_are_dropped_once() -> None:
+    """Whatever the order; a point on two rings is none."""
+    points = np.array([[1.0, 2, 3], [4, 5, 6], [1, 2, 3], [4, 5, 6], [1, 2, 3], [7, 8, 9]])
+    once, dropped = without_duplicates(Scan(points, np.array([0, 1, 0, 2, 0, 3])))
+    assert dropped == 2
+    assert once.points.tolist() == [[1, 2, 3], [4, 5, 6], [4, 5, 6], [7, 8, 9]]
+    assert without_duplicates(once) == (once, 0)
+    assert without_duplicates(Scan(np.zeros((0, 3))))[1] == 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import click
 from optshape_graph.cli.estimate import drawn
 from optshape_graph.cli.html_report import report_option
 from optshape_graph.cli.options import FILE, columns_option, force_option, pool_options, sensor_option
-from optshape_graph.cli.plots import names_of, plot_option, save_picture
+from optshape_graph.cli.plots import names_of, picture_ending, plot_option, save_picture
 
 if TYPE_CHECKING:
     from optshape_graph.detection import Detections
@@ -89,7 +89,7 @@ def command(
             ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "fit", "margin"],
             rows,
             "score: 0 to 1. fit: chi-square per degree of freedom of plane / edges, or what makes a pose doubtful, or "
-            "the surface no target. margin: log likelihood to the next of the targets asked for, where one fits as well.",
+            "the surface no target. margin: log likelihood to the next target asked for, where one fits as well.",
             json_path,
             html,
             "detect",
@@ -103,10 +103,12 @@ class Draw:
     Attributes:
         folder: for the pictures.
         names: of the pictures of each scan.
+        ending: of the pictures.
     """
 
     folder: Path
     names: dict[str, str]
+    ending: str = field(default_factory=picture_ending)
 
     def __call__(self, path: str, scan: Scan, detections: Detections) -> list[Path]:
         from optshape_graph.viz.pose import plot_fit
@@ -115,7 +117,7 @@ class Draw:
         name = self.names[path]
         fits = {f"{name}_{k}_{one.target.name}": plot_fit(scan, one.estimate) for k, one in enumerate(detections.found)}
         figures = {name: plot_detections(scan, detections), **fits}
-        return [save_picture(self.folder, title, figure) for title, figure in figures.items()]
+        return [save_picture(self.folder, title, figure, self.ending) for title, figure in figures.items()]
 
 
 def rows(entry: dict[str, Any], status: str) -> list[list[str]]:

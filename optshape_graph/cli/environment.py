@@ -35,11 +35,13 @@ PURPOSES = {
     "velodyne": "packets of Velodyne sensors: pcap and VelodyneScan",
     "ouster": "packets of Ouster sensors (not beside `ros`: install it with pip --no-deps)",
     "mesh": "meshes in simulated scenes, and the Open3D viewer",
+    "icp": "odometry from the scans themselves (KISS-ICP)",
     "evaluate": "accuracy sweeps and tables (optshape evaluate)",
     "dataframe": "results as pandas data frames (to_dataframe)",
     "dask": "sweeps on several machines (--dask)",
     "view": "the Rerun viewer (optshape view)",
     "notebooks": "the notebooks, in Jupyter",
+    "supply": "the list of parts (make sbom)",
     "docs": "building the documentation",
 }
 """What each extra is for; `test` brings them all."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ import click
 
 from optshape_graph.cli.html_report import report_option
 from optshape_graph.cli.options import FILE, columns_option, force_option, pool_options, sensor_option
-from optshape_graph.cli.plots import names_of, plot_option, save_picture
+from optshape_graph.cli.plots import names_of, picture_ending, plot_option, save_picture
 
 if TYPE_CHECKING:
     from optshape_graph.pose import PoseEstimate
@@ -99,16 +99,21 @@ class Draw:
     Attributes:
         folder: for the pictures.
         names: of the pictures of each scan.
+        ending: of the pictures.
     """
 
     folder: Path
     names: dict[str, str]
+    ending: str = field(default_factory=picture_ending)
 
     def __call__(self, path: str, scan: Scan, estimate: PoseEstimate) -> list[Path]:
         from optshape_graph.viz.pose import plot_estimate
 
         figures = plot_estimate(scan, estimate)
-        return [save_picture(self.folder, f"{self.names[path]}_{kind}", figure) for kind, figure in figures.items()]
+        return [
+            save_picture(self.folder, f"{self.names[path]}_{kind}", figure, self.ending)
+            for kind, figure in figures.items()
+        ]
 
 
 def drawn(plots: Path | None) -> dict[str, Any]:

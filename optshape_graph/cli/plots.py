@@ -1,4 +1,4 @@
-"""`--plot DIR`: pictures of what a command found, as PNG files whose names are told at the end."""
+"""`--plot DIR`, `--plot-format`: pictures of what a command found, whose names are told at the end."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from optshape_graph.names import file_name
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+ENDING = "optshape_graph.cli.plots.ending"
+"""Where the context of a command keeps the ending of its pictures."""
+
 IMAGES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
 
 
@@ -25,10 +28,29 @@ def plot_option(what: str, *aliases: str) -> Callable[[Callable[..., Any]], Call
         what: the pictures, for the help.
         aliases: other names of the option.
     """
-    return click.option(
-        "--plot", *aliases, "plots", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", callback=_checked,
-        help=f"Write pictures to this folder: {what}.",
-    )  # fmt: skip
+
+    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+        ending = click.option(
+            "--plot-format", type=click.Choice(["png", "svg", "pdf"]), default="png", show_default=True,
+            help="Of the pictures.", expose_value=False, is_eager=True, callback=_keep_ending,
+        )  # fmt: skip
+        folder = click.option(
+            "--plot", *aliases, "plots", type=click.Path(file_okay=False, path_type=Path), metavar="DIR",
+            callback=_checked, help=f"Write pictures to this folder: {what}.",
+        )  # fmt: skip
+        return folder(ending(function))
+
+    return add
+
+
+def picture_ending() -> str:
+    """Return the ending of pictures that the command at work was asked for."""
+    context = click.get_current_context(silent=True)
+    return "png" if context is None else str(context.meta.get(ENDING, "png"))
+
+
+def _keep_ending(context: click.Context, parameter: click.Parameter, value: str) -> None:
+    context.meta[ENDING] = value
 
 
 class Pictures:
@@ -39,12 +61,12 @@ class Pictures:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self.folder, self.ending = folder, picture_ending()
         self.paths: list[Path] = []
 
     def save(self, name: str, figure: Figure) -> None:
-        """Write a figure as NAME.png, whatever characters the name has."""
-        self.paths.append(save_picture(self.folder, name, figure))
+        """Write a figure, whatever characters its name has."""
+        self.paths.append(save_picture(self.folder, name, figure, self.ending))
 
     def tell(self) -> None:
         """Name the files."""
@@ -52,11 +74,11 @@ class Pictures:
             say(f"picture: {path}")
 
 
-def save_picture(folder: Path, name: str, figure: Figure) -> Path:
-    """Write a figure as NAME.png into a folder, whatever characters the name has; return its path."""
+def save_picture(folder: Path, name: str, figure: Figure, ending: str = "png") -> Path:
+    """Write a figure as NAME.ENDING into a folder, whatever characters the name has; return its path."""
     from optshape_graph.viz.style import save_figure
 
-    return save_figure(figure, folder / f"{file_name(name)}.png")
+    return save_figure(figure, folder / f"{file_name(name)}.{ending}")
 
 
 def names_of(paths: Sequence[str]) -> dict[str, str]:

@@ -111,7 +111,7 @@ def judge(scan: OrderedScan, candidate: Candidate, own: Ints, estimate: PoseEsti
     look = look_again(boundary, target, estimate.T_lidar_target)
     rectangle = rectangle_log_odds(boundary, target.circumradius)
     against_rectangle = look.log_odds - rectangle + (_ALIKE if _is_rectangle(target) else 0.0)
-    apart, hidden = _beyond_sides(scan, estimate, rays, fired, band)
+    apart, seen = _beyond_sides(scan, estimate, rays, fired, band)
     return Evidence(
         contained=float(np.isin(candidate.rows, rays.rows[upto_rim]).mean()),
         covered=min(n_on / expected, 1.0),
@@ -120,7 +120,7 @@ def judge(scan: OrderedScan, candidate: Candidate, own: Ints, estimate: PoseEsti
         free=max(1.0 - float((beside & (on | before)).sum()) / max(float(fired_beside.sum()), 1.0), 0.0),
         stepped=float(borders.open.mean()),
         apart=apart,
-        seen=_in_view(scan, estimate) * (1.0 - hidden),
+        seen=seen,
         distinct=float(expit(min(look.log_odds, against_rectangle))),
     )
 
@@ -135,7 +135,7 @@ def objections(evidence: Evidence, least: Evidence) -> list[str]:
         "free": f"{1 - evidence.free:.0%} of the rays beside it return from its plane or from before it",
         "stepped": not_stepped(evidence.stepped),
         "apart": f"at one side {1 - evidence.apart:.0%} of the rays just beyond meet something that begins there",
-        "seen": f"only {evidence.seen:.0%} of its outline can be seen",
+        "seen": f"only {evidence.seen:.0%} of its outline has rays that pass just beyond it",
         "distinct": "its ring ends would fit a surface of another shape too",
     }
     reached = {
@@ -153,11 +153,12 @@ def _beyond_sides(
     scan: OrderedScan, estimate: PoseEstimate, rays: Rays, fired: Floats, band: float
 ) -> tuple[float, float]:
     """Share of the rays just beyond a side that do not meet something that begins there, at the worst side; and share
-    of the rays just beyond all sides that something before the target stops.
+    of the outline just beyond which rays pass, half as many as elsewhere at least, and nothing stops them before it.
 
     A surface through the side, like the next face of a box, is met by a ray that misses the side by q within
-    q / cos(incidence) of it. What stands behind a target is further away. In front of a target the floor may be seen
-    at a more grazing angle, and little else can be, so a wider strip is looked at there.
+    q / cos(incidence) of it; what is in the target's own plane, give or take the noise, is looked past. What stands
+    behind a target is further away. In front of a target the floor may be seen at a more grazing angle, and little
+    else can be, so a wider strip is looked at there.
     """
     options, target, sensor = scan.options, estimate.target, estimate.T_target_lidar[:3, 3]
     start = target.polygon
@@ -181,10 +182,10 @@ def _beyond_sides(
     of_ray = np.abs((normal * to_line).sum(axis=1)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
     slack = options.band_sigmas * scan.resolution.range_noise
 
-    def attached(reach: Floats, angle: float, off_plane: Bools) -> float:
+    def attached(reach: Floats, angle: float, farthest: float, off_plane: Bools) -> float:
         """Share of the rays within `reach` (n,) beyond a side, that begin at it, at the worst side."""
         near = (outside > 0) & (outside < reach[side])
-        begins = near & off_plane & (of_return <= of_ray / np.cos(angle) + slack)
+        begins = near & off_plane & (of_return <= np.minimum(of_ray / np.cos(angle) + slack, farthest))
         on = near & (np.abs(rays.points[:, 0]) <= band)
         beyond = (fired_outside > 0) & (fired_outside < reach[fired_side])
         of_side = [np.bincount(which, minlength=len(start)) for which in (fired_side[beyond], side[on], side[begins])]
@@ -192,27 +193,17 @@ def _beyond_sides(
         told = expected >= options.fewest_returns
         return float((of_side[2][told] / expected[told]).max(initial=0.0))
 
-    strip = np.maximum(options.side_strip, 2.0 * options.fewest_returns / (density * length))
+    strip = np.maximum(options.side_strip, 2.0 * options.fewest_returns / (density * length)) + 2.0 * band
     rim = np.maximum(strip, options.rim * target.offsets.min())
-    behind = attached(strip, options.steepest, rays.points[:, 0] > band)
-    before = attached(rim, options.grazing, rays.points[:, 0] < -band)
-    stopped = (rays.points[:, 0] < -band) & (outside > 0) & (outside < strip[side])
-    expected = ((fired_outside > 0) & (fired_outside < strip[fired_side])).sum()
-    return max(1.0 - max(behind, before), 0.0), min(float(stopped.sum() / max(expected, 1)), 1.0)
+    behind = attached(strip, options.steepest, options.hung_before - band, rays.points[:, 0] > band)
+    before = attached(rim, options.grazing, np.inf, rays.points[:, 0] < -band)
+    stopped = (outside > 0) & (outside < strip[side]) & (rays.points[:, 0] < -band)
+    there = (fired_outside > 0) & (fired_outside < strip[fired_side])
+    count = np.bincount(fired_side[there], minlength=len(start)) - np.bincount(side[stopped], minlength=len(start))
+    seen = np.clip(count / (0.5 * density * length * strip), 0.0, 1.0)
+    return max(1.0 - max(behind, before), 0.0), float(length @ seen / length.sum())
 
 
 def _is_rectangle(target: Target) -> bool:
     corners = (target.normals * np.roll(target.normals, 1, axis=0)).sum(axis=1)
     return len(target) == 4 and bool((np.abs(corners) < 0.02).all())
-
-
-def _in_view(scan: OrderedScan, estimate: PoseEstimate) -> float:
-    """Share of the outline that is within the sensor's field of view."""
-    corner = estimate.vertices
-    part = np.linspace(0.0, 1.0, 20, endpoint=False)[:, None, None]
-    outline = (corner + part * (np.roll(corner, -1, axis=0) - corner)).reshape(-1, 3)
-    weight = np.tile(np.linalg.norm(np.roll(corner, -1, axis=0) - corner, axis=1), len(part))
-    elevation = np.arctan2(outline[:, 2], np.hypot(outline[:, 0], outline[:, 1]))
-    heights = 0.5 * scan.ring_heights
-    lowest, highest = scan.elevations[0] - heights[0], scan.elevations[-1] + heights[-1]
-    return float(weight @ ((elevation > lowest) & (elevation < highest)) / weight.sum())

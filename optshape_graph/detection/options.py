@@ -86,12 +86,13 @@ class DetectionOptions:
     )  # fmt: skip
     sure_evidence: Evidence = field(
         default=Evidence(
-            contained=0.9, covered=0.75, edged=0.85, solid=0.9, free=0.8, stepped=0.85, apart=0.65, seen=0.7,
+            contained=0.9, covered=0.75, edged=0.85, solid=0.9, free=0.8, stepped=0.85, apart=0.8, seen=0.7,
             distinct=0.999,
         )
     )  # fmt: skip
     rim: float = 0.4
     side_strip: float = 0.05
+    hung_before: float = 0.2
     grazing: float = float(np.radians(85.0))
     blooming: float = 0.025
     pierced_rays: int = 6

@@ -32,7 +32,8 @@ class Evidence(Value):
             bends away, or something stands before it, there is no edge to be seen.
         apart: of the rays just beyond the side where it is least, those that do not return from something that begins
             at that side: the next face of a box, the floor.
-        seen: of its outline, what is within the field of view and not hidden.
+        seen: of its outline, the part just beyond which rays pass: none do out of the field of view, behind something,
+            or between two rings far apart.
         distinct: probability that it is no surface of another shape, such as a rectangle: few ring ends fit any.
     """
 

@@ -77,7 +77,8 @@ def _estimate(document: Mapping[str, Any]) -> Verdict:
     if reasons:
         kind, count = reasons.most_common(1)[0]
         advice.append(f"look at '{kind}' first, which makes {count} of the scans doubtful")
-    few = [scan for scan in scans if scan["status"] != "ok" and scan["n_returns"] < FEW_RETURNS]
+    counted = [scan for scan in scans if scan["status"] != "ok" and scan["n_returns"] is not None]
+    few = [scan for scan in counted if scan["n_returns"] < FEW_RETURNS]
     if few:
         advice.append(f"{len(few)} scans have fewer than {FEW_RETURNS} returns: nearer, or a larger target")
     if any(scan["status"] == "ambiguous" for scan in scans):

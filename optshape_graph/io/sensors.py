@@ -66,6 +66,10 @@ def _own(root: Node) -> SensorModel:
             parameters[key.removesuffix("_deg")] = float(np.radians(fields[key].number()))
     if "azimuth_offsets_deg" in fields:
         parameters["azimuth_offsets"] = np.radians(fields["azimuth_offsets_deg"].numbers(-1))
+    if "firing_times_us" in fields:
+        if "firing_period_us" not in fields:
+            fields["firing_times_us"].fail("firing times need 'firing_period_us' beside them")
+        parameters["firing_phases"] = fields["firing_times_us"].numbers(-1) / fields["firing_period_us"].number()
     name = fields["name"].text() if "name" in fields else path.stem
     elevations = np.radians(fields["elevations_deg"].numbers(-1))
     try:
@@ -120,6 +124,8 @@ def save_sensor(path: str | Path, sensor: SensorModel) -> None:
         document["azimuth_step_deg"] = float(np.degrees(sensor.azimuth_step))
     if sensor.azimuth_offsets is not None:
         document["azimuth_offsets_deg"] = np.degrees(sensor.azimuth_offsets).tolist()
+    if sensor.firing_phases is not None:
+        document["firing_times_us"], document["firing_period_us"] = sensor.firing_phases.tolist(), 1.0
     document["elevation_error_deg"] = float(np.degrees(sensor.elevation_error))
     document["beam_divergence_deg"] = float(np.degrees(sensor.beam_divergence))
     for key, attribute in _METRES.items():

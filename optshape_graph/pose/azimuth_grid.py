@@ -170,3 +170,25 @@ def _overshoot(jitter: float, returns: int, revolutions: int) -> tuple[float, fl
     middle = 0.5 * (x[1:] + x[:-1])
     mean = float(density @ middle / density.sum())
     return mean, float(density @ (middle - mean) ** 2 / density.sum())
+
+
+def at_firing_times(scan: Scan) -> Scan:
+    """Turn each ring by as far as the sensor had turned when it fired, where the driver hasn't.
+
+    Drivers that give all lasers of a cycle one azimuth leave rings on one grid; those that don't leave them on grids
+    that are apart by the firing times. The grid in which the azimuths agree better, ring to ring, is the scan's.
+
+    Args:
+        scan: with rings; one whose sensor states no firing times or no azimuth step is returned as it is.
+    """
+    sensor = scan.sensor
+    if sensor is None or sensor.firing_phases is None or sensor.azimuth_step is None or scan.ring is None:
+        return scan
+    phases = sensor.firing_phases[scan.ring]
+    offsets = 0.0 if sensor.azimuth_offsets is None else sensor.azimuth_offsets[scan.ring]
+    azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0]) - offsets
+    grid = np.exp(2j * np.pi * azimuth / sensor.azimuth_step)
+    if np.abs(np.sum(grid)) <= np.abs(np.sum(grid * np.exp(2j * np.pi * phases))):
+        return scan
+    turned = (scan.points[:, 0] + 1j * scan.points[:, 1]) * np.exp(-1j * phases * sensor.azimuth_step)
+    return replace(scan, points=np.column_stack([turned.real, turned.imag, scan.points[:, 2]]))

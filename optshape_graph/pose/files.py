@@ -47,7 +47,7 @@ class EstimateFile:
         except EstimationError as error:
             return self.failed(path, str(error))
         pictures = () if self.then is None else tuple(map(str, self.then(path, scan, estimate)))
-        reasons = (f"{path}: {estimate.status}: {estimate.reason}",) if estimate.reason else ()
+        reasons = (f"{path}: {estimate.status}: {estimate.reason}",) if estimate.status != "ok" else ()
         return Outcome(estimate.status, reasons, estimate.to_dict(), pictures)
 
     def failed(self, path: str, reason: str) -> Outcome:

@@ -151,7 +151,12 @@ class Evidence(Value):
 
 
 def plane_flags(evidence: Evidence, T_target_lidar: Floats) -> list[Flag]:
-    """Ask the distances from the plane, whatever the outline."""
+    """Ask the distances from the plane, whatever the outline.
+
+    Args:
+        evidence: what the fit is judged by.
+        T_target_lidar: (4, 4) the pose.
+    """
     r, s = evidence.residuals, evidence.surface
     radius = gyration(evidence.problem.target)
     yz = in_plane(evidence.scan.points, T_target_lidar)

@@ -52,8 +52,8 @@ class Components(Value):
     Attributes:
         T: (C, 4, 4) base poses.
         mean: (C, 7) rotation vector, rad, and translation, metres, in the base's axes; and the scalar.
-        covariance: (C, 7, 7).
-        weight: (C,) sum to 1.
+        covariance: (C, 7, 7) of each about its mean, in those units.
+        weight: (C,) probability of each; they sum to 1.
     """
 
     T: Floats
@@ -68,8 +68,8 @@ class Samples(Value):
 
     Attributes:
         T: (S, 4, 4).
-        scalar: (S,) beside each.
-        weight: (S,) sum to 1.
+        scalar: (S,) beside each, in its own unit.
+        weight: (S,) probability of each; they sum to 1.
         log_integral: logarithm of the density's integral.
     """
 

@@ -106,7 +106,7 @@ class Posterior(Value):
     Attributes:
         T_target_lidar: (C, 4, 4).
         covariance: (C, 6, 6) of the right perturbation of T_target_lidar, rotation first.
-        joint: (C, 7, 7) of that and the offset.
+        joint: (C, 7, 7) of that and the offset, in beam widths.
         offset: (C,) common offset across the edges, in units of the beam's width; positive: the returns lie further in.
         geometry: edge points at these poses.
         inset: (C, M) distance along the ring from each edge point to the boundary, rad, offset and shift apart.

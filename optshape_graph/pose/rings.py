@@ -24,7 +24,7 @@ from optshape_graph.factors.static import (
     SharedError,
 )
 from optshape_graph.pose.association import ReturnsPlane, enumerate_poses, fit_plane
-from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
+from optshape_graph.pose.azimuth_grid import at_firing_times, level_rings, place_on_firings
 from optshape_graph.pose.fit import Evidence
 from optshape_graph.pose.modes import Modes, SampledPose, compare_modes, rank
 from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, one_scan, plane_measurement, returns_on_plane
@@ -74,6 +74,7 @@ def measure(scan: Scan, target: Target, options: PoseOptions) -> Measured:
     Raises:
         EstimationError: the returns span no plane, or no azimuth step is to be found.
     """
+    scan = at_firing_times(scan)
     assert scan.ring is not None
     ring, as_recorded = scan.ring, scan
     scan, angular_noise = level_rings(scan)

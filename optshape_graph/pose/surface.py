@@ -46,12 +46,14 @@ class PlaneResiduals(Value):
 
     Attributes:
         e: (N,) metres, positive behind.
-        yz: (N, 2) where the ray meets the plane, from the middle of the returns, in radii of the target.
+        yz: (N, 2) where the ray meets the plane, from the middle of the returns, in units of the target's radius.
         column: (N,) index of each return's ring, 0 to R - 1.
         rest: (N,) metres, less what a surface of second order and the median of the ring explain.
         usual: (N,) whether it is within OUTLYING standard deviations of its ring.
         noise: standard deviation within rings, metres off the plane: of the scan, or of the sensor file if larger.
         bias: standard deviation over rings, metres off the plane, likewise.
+        file_noise: the noise of the sensor file, metres off the plane.
+        file_bias: the bias of the sensor file, metres off the plane.
     """
 
     e: Floats
@@ -295,7 +297,7 @@ def rim_step(residuals: PlaneResiduals, rim: Bools, inner: Bools) -> tuple[float
 
 
 def second_order(yz: Floats) -> Floats:
-    """(N, 6) 1, y, z, y^2, yz, z^2 of places (N, 2)."""
+    """(N, 6) 1, y, z, y^2, yz, z^2 of places (N, 2), in units of the target's radius."""
     y, z = yz.T
     return np.column_stack([np.ones(len(y)), y, z, y * y, y * z, z * z])
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-SECONDS = 1.5
+SECONDS = 1.0
 """That may pass between a signal and the end of the process, whatever it was doing."""
 
 

@@ -25,6 +25,9 @@ KIND = "journal of optshape_graph, 1"
 
 MOST_TASKS = 100_000_000
 
+_PIECE = 1 << 18
+"""Bytes that are read at once."""
+
 _TASK = re.compile(rb'\{"task": (\d{1,12}),')
 
 
@@ -67,8 +70,13 @@ class Journal:
         return task < len(self._places) and self._places[task] >= 0
 
     def __getitem__(self, task: int) -> dict[str, Any]:
-        self._file.seek(self._places[task])
-        return self._parsed(self._file.readline(), task)
+        line, place = b"", self._places[task]
+        while b"\n" not in line:
+            piece = os.pread(self._file.fileno(), _PIECE, place + len(line))
+            if not piece:
+                break
+            line += piece
+        return self._parsed(line.partition(b"\n")[0], task)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         """Lines of the finished tasks, in the order of the tasks."""
@@ -121,14 +129,14 @@ class Journal:
         self.close()
 
     def _begin(self, header: dict[str, Any]) -> None:
-        self._file.seek(0)
-        first = self._file.readline()
-        if not first.endswith(b"\n"):  # new, or killed at once
+        lines = self._lines()
+        first = next(lines, None)
+        if first is None:  # new, or killed at once
             self._file.truncate(0)
             self._file.seek(0)
             self._file.write(json.dumps(header).encode() + b"\n")
             return
-        found = self._parsed(first, None)
+        found = self._parsed(first[1], None)
         if found.get("kind") != KIND:
             raise InputError(f"{self.path}: expected the journal of a run, found another file; choose another output")
         if found != header:
@@ -136,16 +144,24 @@ class Journal:
                 f"{self.path}: holds what is finished of another run (other inputs, options or version); go on with "
                 "the same command as before, or remove it to begin anew"
             )
-        place = len(first)
-        for line in self._file:
+        end = len(first[1]) + 1
+        for place, line in lines:
             match = _TASK.match(line)
-            if not line.endswith(b"\n"):
-                break
             if match is None or int(match[1]) >= self._most:
                 raise InputError(f"{self.path}: not a line of a journal at byte {place}; remove the file to begin anew")
             self._note(int(match[1]), place)
-            place += len(line)
-        self._file.truncate(place)
+            end = place + len(line) + 1
+        self._file.truncate(end)
+
+    def _lines(self) -> Iterator[tuple[int, bytes]]:
+        """The whole lines of the file, each with its place. The file has no buffer, so that a line is one write."""
+        place, offset, rest = 0, 0, b""
+        while piece := os.pread(self._file.fileno(), _PIECE, offset):
+            offset += len(piece)
+            *whole, rest = (rest + piece).split(b"\n")
+            for line in whole:
+                yield place, line
+                place += len(line) + 1
 
     def _parsed(self, line: bytes, task: int | None) -> dict[str, Any]:
         try:
@@ -192,7 +208,7 @@ def digest(describe: Mapping[str, Any]) -> str:
 def _unnamed() -> BinaryIO:
     import tempfile
 
-    return tempfile.TemporaryFile()
+    return tempfile.TemporaryFile(buffering=0)
 
 
 def _locked(path: Path) -> BinaryIO:

@@ -30,6 +30,9 @@ SCHEDULER_TIMEOUT_S = 10
 AHEAD = 3
 """Tasks for each worker of a cluster that are handed out: more would only take memory."""
 
+MOST_DEATHS = 20
+"""Workers in a row that may end before they begin."""
+
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that keep linear algebra on one thread: results do not depend on the number of workers."""
 
@@ -107,7 +110,16 @@ class _Queue(Generic[T]):
         self._new, self._again, self._lost = iter(tasks), list[tuple[int, T]](), set[int]()
 
     def next(self) -> tuple[int, T] | None:
-        return self._again.pop() if self._again else next(self._new, None)
+        """Take a task; None: there are no more."""
+        if not self._again and (new := next(self._new, None)) is not None:
+            self._again.append(new)
+        return self._again.pop() if self._again else None
+
+    def has_more(self) -> bool:
+        """Whether there is a task that nobody has."""
+        if (task := self.next()) is not None:
+            self._again.append(task)
+        return task is not None
 
     def is_tried_again(self, number: int, task: T) -> bool:
         """Put back a task whose worker was killed, unless that happened before."""
@@ -124,6 +136,7 @@ class _Worker(Generic[T, R]):
     def __init__(self, function: Callable[[T], R]) -> None:
         self.task: tuple[int, T] | None = None
         self._function = function
+        self.ready = False  # until it says that it has loaded all it needs
         self._start()
 
     def give(self, task: tuple[int, T] | None) -> None:
@@ -144,6 +157,7 @@ class _Worker(Generic[T, R]):
         """Start a new process in place of a dead one; return how that ended."""
         self.end()
         code = self._process.exitcode
+        self.ready = False
         self._start()
         return f"signal {-code}" if code is not None and code < 0 else f"exit status {code}"
 
@@ -171,31 +185,36 @@ def _on_processes(
 
     queue = _Queue(tasks)
     pool: list[_Worker[T, R]] = []
-    died = 0  # workers in a row that ended without a result
+    died = 0  # workers in a row that ended before they could begin
     try:
-        while len(pool) < workers and (entry := queue.next()) is not None:
-            pool.append(_Worker(function))
-            pool[-1].give(entry)
-        while busy := {worker.pipe: worker for worker in pool if worker.task is not None}:
-            for pipe in connection.wait(list(busy)):
-                worker = busy[pipe]  # type: ignore[index]  # it is one of those that were given
-                assert worker.task is not None
-                (number, task), reply = worker.task, worker.reply()
-                if reply is None:
-                    died += 1
-                    how = worker.restart()
-                    if died > 2 * workers + 2:
-                        raise OptshapeError(f"workers end without a result ({how}); --workers 1 does without them")
-                    if not queue.is_tried_again(number, task):
-                        yield number, Lost(f"its worker was killed twice ({how})")
+        while queue.has_more() or any(worker.task for worker in pool):
+            if len(pool) < workers and queue.has_more() and all(worker.task or not worker.ready for worker in pool):
+                pool.append(_Worker(function))
+            for worker in pool:
+                if worker.ready and worker.task is None:
                     worker.give(queue.next())
-                    continue
-                died = 0
-                worker.give(queue.next())
-                returned, result = reply
-                if not returned:
-                    raise result
-                yield number, result
+            if len(pool) < workers and queue.has_more():
+                continue
+            waited = {worker.pipe: worker for worker in pool if worker.task or not worker.ready}
+            for pipe in connection.wait(list(waited)):
+                worker = waited[pipe]  # type: ignore[index]  # it is one of those that were given
+                entry, reply = worker.task, worker.reply()
+                worker.task = None
+                if reply is None:
+                    how = worker.restart()
+                    died += entry is None
+                    if died > MOST_DEATHS:
+                        raise OptshapeError(f"workers end before they begin ({how}); --workers 1 does without them")
+                    if entry is not None and not queue.is_tried_again(*entry):
+                        yield entry[0], Lost(f"its worker was killed twice ({how})")
+                elif entry is None:
+                    worker.ready, died = True, 0
+                else:
+                    worker.give(queue.next())
+                    returned, result = reply
+                    if not returned:
+                        raise result
+                    yield entry[0], result
     finally:
         for worker in pool:
             worker.end()
@@ -222,6 +241,7 @@ def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
+        pipe.send((True, None))  # all that the function needs is loaded
         while True:
             task = pipe.recv()
             try:

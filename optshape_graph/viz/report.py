@@ -27,6 +27,9 @@ MOST_ROWS = 200
 MOST_PICTURES = 60
 """Of a report: a page of the size of a photograph each."""
 
+KINDS = {".svg": "svg+xml", ".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
+"""Pictures that a browser shows, by ending; others stay beside the report."""
+
 LEVELS = {"Good": "#009e73", "Usable with care": "#b07800", "Not usable": "#c03020"}
 
 STYLE = """
@@ -96,10 +99,11 @@ def html_of(document: Mapping[str, Any], verdict: Verdict, pictures: Sequence[st
     places = _places(document)
     if len(places):
         parts.append(_figure(plan_view(places), "Seen from above: where the targets stood. Circles: range, m."))
-    for picture in list(pictures)[:MOST_PICTURES]:
-        parts.append(_figure(_embedded(Path(picture)), Path(picture).stem.replace("_", " ")))
-    if len(pictures) > MOST_PICTURES:
-        parts.append(f"<p>{len(pictures) - MOST_PICTURES} more pictures are beside the result.</p>")
+    shown = [Path(picture) for picture in pictures if Path(picture).suffix.lower() in KINDS]
+    for picture in shown[:MOST_PICTURES]:
+        parts.append(_figure(_embedded(picture), picture.stem.replace("_", " ")))
+    if len(pictures) > len(shown[:MOST_PICTURES]):
+        parts.append(f"<p>{len(pictures) - len(shown[:MOST_PICTURES])} more pictures are beside the result.</p>")
     if command:
         parts.append(f"<h2>To make this again</h2><pre>{markup(command)}</pre>")
     versions = (
@@ -196,8 +200,9 @@ def plan_view(places: Floats) -> str:
 
 def _places(document: Mapping[str, Any]) -> Floats:
     """(N, 3) where the targets of a result are, in the LiDAR's frame; empty for results that are nowhere."""
-    entries = document.get("scans", ())
-    if kind_of(document) == "detect":
+    kind = kind_of(document)
+    entries = document["scans"] if kind in ("estimate", "detect", "mocap") else ()
+    if kind == "detect":
         entries = [target for scan in entries for target in scan.get("targets", ())]
     found = [entry["T_lidar_target"] for entry in entries if entry.get("T_lidar_target")]
     return np.array(found)[:, :3, 3] if found else np.zeros((0, 3))
@@ -254,9 +259,8 @@ def _figure(content: str, caption: str) -> str:
 
 
 def _embedded(picture: Path) -> str:
-    kind = {".svg": "svg+xml", ".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}.get(picture.suffix.lower(), "png")
     data = base64.b64encode(picture.read_bytes()).decode("ascii")
-    return f'<img alt="{markup(picture.stem)}" src="data:image/{kind};base64,{data}">'
+    return f'<img alt="{markup(picture.stem)}" src="data:image/{KINDS[picture.suffix.lower()]};base64,{data}">'
 
 
 def _mm(metres: float) -> str:

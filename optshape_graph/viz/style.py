@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from colorsys import hls_to_rgb
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
@@ -72,8 +73,13 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
 
 
 def colour(k: int) -> str:
-    """Return the k-th colour of a series."""
-    return COLOURS[k % len(COLOURS)]
+    """Return the k-th colour of a series: those of `COLOURS`, then further ones, none of them twice."""
+    if k < len(COLOURS):
+        return COLOURS[k]
+    further = k - len(COLOURS)
+    # Hues a golden section apart, in three shades in turn.
+    red, green, blue = hls_to_rgb(0.05 + further * 0.618034 % 1.0, (0.32, 0.5, 0.68)[further % 3], 0.55)
+    return f"#{round(255 * red):02x}{round(255 * green):02x}{round(255 * blue):02x}"
 
 
 def marker(k: int) -> str:

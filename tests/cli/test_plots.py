@@ -86,3 +86,19 @@ def test_an_absent_matplotlib_is_told_before_the_work(monkeypatch, tmp_path):
 def test_scans_of_one_name_do_not_overwrite_each_other():
     paths = ["a/scan.pcd", "b/scan.pcd", "b/other.pcd"]
     assert list(names_of(paths).values()) == ["000_scan", "001_scan", "other"]
+
+
+def test_pictures_in_the_format_asked_for(tmp_path):
+    from click.testing import CliRunner
+
+    from optshape_graph.cli.estimate import command
+    from optshape_graph.io.builtin import demo_folder
+
+    demo = demo_folder()
+    arguments = [demo / "4m.pcd", "--target", demo / "target.yaml", "--sensor", demo / "sensor.yaml",
+                 "--plot", tmp_path / "p", "--plot-format", "svg", "--report", tmp_path / "r.html"]  # fmt: skip
+    result = CliRunner().invoke(command, list(map(str, arguments)), catch_exceptions=False, standalone_mode=False)
+    assert result.return_value == 0, result.output
+    assert {path.suffix for path in (tmp_path / "p").iterdir()} == {".svg"}
+    assert "data:image/svg+xml;base64," in (tmp_path / "r.html").read_text()
+    assert "Good: 1 of 1 scans" in result.output

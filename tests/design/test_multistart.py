@@ -94,7 +94,7 @@ def test_limits_that_no_shape_meets():
 
 
 def test_nonsense_is_refused():
-    with pytest.raises(InputError, match="found 0 and 1"):
+    with pytest.raises(InputError, match="at least 1 start; found 0"):
         search(TINY, 0, seed=0)
 
 

@@ -110,7 +110,7 @@ def _camera_session(folder: Path) -> None:
 
 
 def _shape(folder: Path) -> None:
-    save_target(folder / "shape.yaml", load_target("optimal"))
+    save_target(folder / "shape.yaml", load_target("score-optimal"))
 
 
 EXAMPLES: dict[str, Callable[[Path], None]] = {

@@ -15,6 +15,7 @@ from optshape_graph.factors import (
     range_directions,
     ring_bias_columns,
 )
+from optshape_graph.se3 import adjoint, inverse
 from tests.factors.support import TARGET, edge_points, log, minimise, random_pose, seeds
 
 N_RINGS = 6
@@ -184,3 +185,21 @@ def test_marginalised_in_two_steps_or_in_one_and_substituted(seed):
     moved = biased.substituted(left, right)
     assert moved.marginal(1.0).error(H) == pytest.approx(biased.marginal(1.0).error(left @ H @ right), rel=1e-8)
     np.testing.assert_allclose(left @ moved.T_target_lidar @ right, T, atol=1e-9)
+
+
+@given(seeds)
+def test_a_displacement_widens_once_however_many_scans(seed):
+    """The minimum stays; the covariance of the pose grows by the same for one scan and for five."""
+    rng = np.random.default_rng(seed)
+    T, effect = random_pose(rng), np.zeros((6, 1))
+    effect[3] = 0.02
+    one = [BiasedMeasurement.from_rows(A / 0.01, np.zeros((len(r), 0)), r / 0.01, T, [])
+           for A, _, r in (rows_of(*scan(rng, T), T) for _ in range(5))]  # fmt: skip
+    for many in (one[:1], one):
+        sharp = fuse_static(many, 1.0)
+        minimum = minimise(sharp, T)
+        wide = fuse_static([m.displaced([SharedError("shift")], effect, minimum) for m in many], 1.0)
+        np.testing.assert_allclose(wide.gradient(minimum), 0.0, atol=1e-4 * np.sqrt(np.trace(sharp.information(T))))
+        Ad = adjoint(inverse(minimum))
+        grown = np.linalg.inv(wide.information(minimum)) - np.linalg.inv(sharp.information(minimum))
+        np.testing.assert_allclose(grown, Ad @ effect @ effect.T @ Ad.T, rtol=1e-3, atol=1e-8)

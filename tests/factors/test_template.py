@@ -31,7 +31,6 @@ from gtsam.symbol_shorthand import H
 from hypothesis import given
 
 
-
 def values_of(**poses):
     values = gtsam.Values()
     for key, T in poses.items():

@@ -124,5 +124,7 @@ def test_files_that_are_refused(tmp_path: Path, text: str, message: str) -> None
 
 
 def test_neither_name_nor_file() -> None:
-    with pytest.raises(InputError, match=r"vlp64: no such file, and the built-in sensors are: .*vlp16, vlp32c"):
+    with pytest.raises(
+        InputError, match=r"vlp64: no such file, and the built-in sensors are: hdl32e, .*vlp32c, vls128, xt32"
+    ):
         load_sensor("vlp64")

@@ -11,8 +11,8 @@ from optshape_graph import Scan, SensorModel
 from optshape_graph.edges import EdgePoints, extract_edge_points
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import estimate_pose
-from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
-from optshape_graph.simulation import NoiseModel
+from optshape_graph.pose.azimuth_grid import at_firing_times, level_rings, place_on_firings
+from optshape_graph.simulation import IDEAL, NoiseModel, pose_from_rpy, simulate_target
 from tests.pose.clouds import simulated
 
 SENSOR = load_sensor("vlp32c")
@@ -134,3 +134,22 @@ def test_no_bias_of_a_tilted_plane() -> None:
         xi = gtsam.Pose3.Logmap(gtsam.Pose3(np.linalg.inv(estimate.T_lidar_target) @ T))
         normalised.append(xi / np.sqrt(np.diag(estimate.covariance)))
     assert np.abs(np.mean(normalised, axis=0)[1:3]).max() < 4 * 0.16
+
+
+@pytest.mark.parametrize("applied", [False, True])
+def test_firing_times_are_applied_once(applied: bool) -> None:
+    """Rings fired one after the other while the sensor turns clockwise: back to where they were fired, to 1e-9 m."""
+    plain = load_sensor("vlp16")
+    assert plain.azimuth_step is not None
+    phases = np.arange(16) / 16
+    fired = replace(plain, azimuth_offsets=-phases * plain.azimuth_step)  # where the simulator's rays go
+    T = pose_from_rpy([5.0, 0.1, 0.0], [0.2, 0.1, -0.1])
+    truth = simulate_target(load_target("paper"), fired, T, noise=IDEAL)
+    assert truth.ring is not None
+    sensor = replace(plain, firing_phases=phases)
+    turn = np.exp(0.0 if applied else 1j * phases[truth.ring] * plain.azimuth_step)
+    flat = (truth.points[:, 0] + 1j * truth.points[:, 1]) * turn
+    recorded = replace(truth, points=np.column_stack([flat.real, flat.imag, truth.points[:, 2]]), sensor=sensor)
+    np.testing.assert_allclose(at_firing_times(recorded).points, truth.points, atol=1e-9)
+    unknown = replace(recorded, sensor=plain)
+    assert at_firing_times(unknown) is unknown

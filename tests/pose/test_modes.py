@@ -3,9 +3,15 @@
 import numpy as np
 import pytest
 
+from optshape_graph import Scan, Target
 from optshape_graph.evaluation.simulation import SimulationSweep, run_simulation
+from optshape_graph.factors.measurement import refine
 from optshape_graph.io import load_sensor, load_target
-from optshape_graph.pose import estimate_pose
+from optshape_graph.pose import PoseOptions, estimate_pose, modes
+from optshape_graph.pose.modes import compare_modes
+from optshape_graph.pose.noise import one_scan
+from optshape_graph.pose.rings import find_candidates, measure, sampled_measurement
+from optshape_graph.se3 import difference, inverse, rotation_vector
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 from tests.pose.clouds import errors
 
@@ -40,3 +46,48 @@ def test_a_flip_is_never_ok(tmp_path) -> None:
     assert not (ok & (e_r > 90)).any()
     assert ok.mean() > 0.6
     assert np.mean(e_r > 90) < 0.15
+
+
+def far_scan(seed: int) -> tuple[Scan, Target]:
+    """Three or four rings of a VLP-16 on a square metre."""
+    target, sensor = load_target("paper"), load_sensor("vlp16")
+    rng = np.random.default_rng(seed)
+    T = pose_from_rpy([9.0, *rng.uniform(-0.2, 0.2, 2)], rng.normal(0.0, 0.3, 3))
+    return simulate_target(target, sensor, T, noise=NoiseModel.of(sensor), rng=rng), target
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_was_sampled_is_what_the_measurement_says(seed: int) -> None:
+    """Its minimum, within 0.05 standard deviations, and its covariance; and half a turn costs over 50.
+
+    Samples may scatter more than the returns of the plane allow, by chance: up to 25 %, in one direction.
+    """
+    scan, target = far_scan(seed)
+    measured = measure(scan, target, PoseOptions())
+    sampled = compare_modes(find_candidates(measured), measured.problem, measured.scan, measured.edges).sampled
+    assert sampled is not None
+    on_edges, _ = sampled_measurement(sampled, measured.on_plane)
+    measurement = one_scan(on_edges + measured.on_plane).at(sampled.T_target_lidar)
+    covariance = sampled.covariance[:6, :6]
+    T = refine(measurement)
+    xi = difference(sampled.T_target_lidar, T)
+    assert xi @ np.linalg.solve(covariance, xi) < 0.05**2
+    whitened = np.linalg.solve(covariance, np.linalg.inv(measurement.at(T).information()))
+    np.testing.assert_allclose(np.linalg.eigvals(whitened).real, 1.0, atol=0.25)
+    turned = np.diag([1.0, -1.0, -1.0, 1.0]) @ T
+    assert measurement.error(turned) > measurement.error(T) + 50
+
+
+@pytest.mark.parametrize("name", ["paper", "square", "triangle"])
+def test_lookalikes_bring_the_shape_nearest_to_itself(name: str) -> None:
+    """Half a turn is among them; of symmetric shapes all are the pose itself, its z axis up."""
+    target = load_target(name)
+    T = inverse(pose_from_rpy([9.0, 0.5, 0.2], [0.1, 0.2, -0.1]))[None]
+    turned = modes._lookalikes(T, target)
+    angles = np.degrees(rotation_vector(turned[:, :3, :3] @ T[0, :3, :3].T)[:, 0])
+    np.testing.assert_allclose(rotation_vector(turned[:, :3, :3] @ T[0, :3, :3].T)[:, 1:], 0.0, atol=1e-9)
+    if name == "paper":
+        assert np.isclose(np.abs(angles), 180.0).any()
+        assert len(turned) == len(target)
+    if name == "square":
+        np.testing.assert_allclose(angles, 0.0, atol=1e-6)

@@ -12,7 +12,9 @@ from optshape_graph.simulation import uniform_sensor
 from tests.shared import SHARED, needs_shared
 
 RINGS = {
-    "hdl64e": 64, "os0-64": 64, "os0-128": 128, "os1-64": 64, "os1-128": 128, "os2-64": 64, "os2-128": 128,
+    "hdl32e": 32, "hdl64e": 64, "helios": 32, "os0-32": 32, "os1-32": 32, "os1-64-gen1": 64, "pandar128": 128,
+    "pandar40p": 40, "rs16": 16, "vlp16-hires": 16, "vls128": 128, "xt32": 32,
+    "os0-64": 64, "os0-128": 128, "os1-64": 64, "os1-128": 128, "os2-64": 64, "os2-128": 128,
     "pandar64": 64, "pandarqt": 64, "rs32": 32, "rs128": 128, "vlp16": 16, "vlp32c": 32,
 }  # fmt: skip
 

@@ -43,6 +43,13 @@ MAP = {
     "schema": "optshape/map/1", "trajectory": [{}] * 7,
     "landmarks": [{"id": "A", "T_world_target": pose(1.0), "covariance": COVARIANCE, "observations": 1}],
 }  # fmt: skip
+SIZE = {
+    "target": "pose-optimal", "area_m2": 0.5, "width_m": 1.0, "height_m": 0.7, "centre_above_sensor_m": -0.1,
+    "bound_e_r_95_deg": 1.0, "bound_e_t_95_m": 0.01, "e_r_95_deg": 1.1, "e_t_95_m": 0.011, "ok": 100, "ambiguous": 0,
+    "failed": 0, "does_it": True,
+}  # fmt: skip
+CHOICE = {"schema": "optshape/design-choice/1", "range_m": 6.0, "scans": 100, "chosen": SIZE,
+          "smaller": [{**SIZE, "e_r_95_deg": None, "e_t_95_m": None, "does_it": False}]}  # fmt: skip
 
 
 class Checker(HTMLParser):
@@ -76,7 +83,7 @@ def read(path):
     return " ".join(checker.text)
 
 
-@pytest.mark.parametrize("document", [ESTIMATE, DOUBTFUL, MOCAP, MAP], ids=lambda document: document["schema"])
+@pytest.mark.parametrize("document", [ESTIMATE, DOUBTFUL, MOCAP, MAP, CHOICE], ids=lambda document: document["schema"])
 def test_a_report_is_one_sound_file_that_says_the_verdict(tmp_path, document):
     path = tmp_path / "report.html"
     verdict = write_report(path, document, command="optshape estimate 'a b.pcd' --target paper")

@@ -85,3 +85,9 @@ def test_dollars_in_names_are_no_mathematics(tmp_path):
     figure = new_figure()
     figure.suptitle(short(r"a$\frac$b"))
     save_figure(figure, tmp_path / "a.png")
+
+
+def test_no_colour_twice():
+    from optshape_graph.viz.style import colour
+
+    assert len({colour(k) for k in range(60)}) == 60

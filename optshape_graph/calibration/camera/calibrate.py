@@ -85,6 +85,7 @@ def calibrate(
 
     Raises:
         EstimationError: the views are too few, or contradict each other.
+        InputError: they agree only if the numbers of the chessboard's corners stand in the other order.
         UnobservableError: the views leave directions of the extrinsic open, which it names.
     """
     views, unknowns = with_estimated_pixel_noise(views), unknowns or Unknowns()

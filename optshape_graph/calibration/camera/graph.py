@@ -22,7 +22,11 @@ from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.camera.uncertainty import Uncertainty, uncertainty_of
 from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.camera import CameraIntrinsics
-from optshape_graph.factors import TemplateFactor
+from optshape_graph.factors import TemplateMeasurement
+from optshape_graph.graph import Chain, Templates
+from optshape_graph.graph import solve as minimise
+from optshape_graph.graph.chain import State
+from optshape_graph.graph.solution import linearised
 from optshape_graph.se3 import adjoint, inverse
 
 
@@ -128,25 +132,22 @@ class CalibrationGraph:
         self._cameras = {
             s.sensor: CompiledCamera.of(s.seen.camera) for s in sightings if isinstance(s.seen, TargetInImage)
         }
-        self._measured = [self._measurement_factors(number, sighting) for number, sighting in enumerate(sightings)]
+        self._in_images = [self._image_factors(sighting) for sighting in sightings]
 
     def solve(self, used: Callable[[int], bool], start: Rig, discrepancy: Discrepancy) -> Rig:
-        """Minimise over some of the views (Levenberg-Marquardt).
+        """Minimise over some of the views.
 
         Args:
             used: says of a view's number whether it takes part.
             start: where to start.
             discrepancy: of the scans.
         """
-        graph, values = self._build(used, start, discrepancy)
-        parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setRelativeErrorTol(1e-9)
-        parameters.setAbsoluteErrorTol(1e-9)
-        return self._rig(gtsam.Values(gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()), start)
+        factors, values, returns = self._build(used, start, discrepancy)
+        return self._rig(minimise(values, [returns], factors).values, start)
 
     def uncertainty(self, used: Callable[[int], bool], rig: Rig, discrepancy: Discrepancy) -> Uncertainty:
         """Linearise at a solution over some of the views."""
-        graph, values = self._build(used, rig, discrepancy)
+        factors, values, returns = self._build(used, rig, discrepancy)
         rows: dict[tuple[str, str], slice] = {}
         kept: list[int] = []
         for number, name in enumerate(self._sensors):
@@ -162,18 +163,18 @@ class CalibrationGraph:
                 effect = -adjoint(sighting.seen.T_lidar_target) @ sighting.seen.shared_effect
                 errors = [(sighting.sensor, error) for error in sighting.seen.shared]
                 shifts[L(number)] = errors, sighting.seen.measurement.information() @ effect
-        return uncertainty_of(graph.linearize(values), values, kept, rows, shifts)
+        state = State.of(values)
+        return uncertainty_of(linearised([returns.at(state)], factors, state), values, kept, rows, shifts)
 
-    # The factors of one sighting, and what they touch.
+    # The factors of one image, and what they touch.
 
     def _sensor_key(self, name: str) -> int | None:
         return None if name == self._base else S(self._sensors.index(name))
 
-    def _measurement_factors(self, number: int, sighting: Sighting) -> list[gtsam.NonlinearFactor]:
+    def _image_factors(self, sighting: Sighting) -> list[gtsam.NonlinearFactor]:
         seen = sighting.seen
         if isinstance(seen, TargetInScan):
-            measurement = seen.uncorrected if self._as_they_come else seen.measurement
-            return [TemplateFactor(measurement, L(number), inverse(sighting.S))]
+            return []
         sensor = self._sensors.index(sighting.sensor)
         points = seen.points.relabelled(sighting.S)
         k_points = [self._point(sighting.target, points.printed, point) for point in points.points]
@@ -188,9 +189,10 @@ class CalibrationGraph:
 
     def _build(
         self, used: Callable[[int], bool], start: Rig, discrepancy: Discrepancy
-    ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, Templates]:
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        for number, (sighting, factors) in enumerate(zip(self._sightings, self._measured, strict=True)):
+        measurements, chains = list[TemplateMeasurement](), list[Chain]()
+        for number, (sighting, factors) in enumerate(zip(self._sightings, self._in_images, strict=True)):
             if not any(used(view) for view in sighting.views):
                 continue
             for factor in factors:
@@ -200,13 +202,15 @@ class CalibrationGraph:
             if isinstance(sighting.seen, TargetInScan):
                 T_target_lidar = start.T_target_base[sighting.placement] @ start.T_base_sensor[sighting.sensor]
                 values.insert(L(number), gtsam.Pose3(T_target_lidar))
+                measurements.append(sighting.seen.uncorrected if self._as_they_come else sighting.seen.measurement)
+                chains.append([inverse(sighting.S), L(number)])
                 k_bias = B(self._sensors.index(sighting.sensor)) if self._bias_sigma > 0 else None
                 keys = (W(sighting.placement), self._sensor_key(sighting.sensor), L(number), k_bias)
                 graph.push_back(coupling_factor(keys, sighting.seen, discrepancy.sigmas, T_target_lidar))
         keys_used = set(graph.keyVector())
         self._add_points(graph, values, keys_used)
         self._add_sensors(graph, values, keys_used, start)
-        return graph, values
+        return graph, values, Templates.of(measurements, chains)
 
     def _add_points(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, keys: set[int]) -> None:
         exact = gtsam.noiseModel.Isotropic.Sigma(3, PRINT_SIGMA_M)

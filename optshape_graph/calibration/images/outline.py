@@ -82,7 +82,7 @@ def edge_shifts(
         reach_m: how far to look on either side of an edge, metres.
 
     Returns:
-        Medians over the points of each edge; NaN where too little of it is seen.
+        (n,) metres, medians over the points of each edge; NaN where too little of it is seen.
     """
     cv2 = opencv()
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float32)

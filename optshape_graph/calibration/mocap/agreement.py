@@ -97,7 +97,13 @@ def placements(scans: Sequence[MocapScan]) -> int:
 
 
 def other_frame(scan: MocapScan, scans: Sequence[MocapScan], T_lidar_mocap: Floats) -> str:
-    """Say which other scan's markers fit a scan that does not agree with its own; empty: none."""
+    """Say which other scan's markers fit a scan that does not agree with its own; empty: none.
+
+    Args:
+        scan: the one that does not agree.
+        scans: all of them.
+        T_lidar_mocap: (4, 4) by those that do.
+    """
     fitting = [
         other.name for other in scans
         if other is not scan and _fit(T_lidar_mocap, other.T_mocap_target, scan.estimate.equivalent_poses) < CUT**2

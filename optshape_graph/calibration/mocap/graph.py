@@ -51,7 +51,7 @@ class Solution(Value):
         T_lidar_mocap: (4, 4).
         covariance: (6, 6) of its right perturbation, rotation first.
         layout: (n, 3) markers, target frame, metres.
-        layout_covariance: (n, 3, 3) of each.
+        layout_covariance: (n, 3, 3) of each, square metres.
         scale: of the motion capture.
         scale_sigma: its standard deviation; 0 where it was not estimated.
         T_target_lidar: (4, 4) of each scan, by its number.

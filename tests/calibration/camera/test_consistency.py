@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from optshape_graph.calibration.camera.calibrate import calibrate
 from optshape_graph.calibration.camera.factors import INTRINSICS_SIGMA
@@ -23,26 +24,44 @@ def with_drawn_lens(views: list[View], rng: np.random.Generator) -> list[View]:
     return [replace(v, image=replace(v.image, camera=given, poses=planar_poses(v.image.points, given))) for v in views]
 
 
-def test_fifty_sessions_with_known_truth():
-    """NEES over degrees of freedom within 0.8-1.25 (its own sd over 50 sessions is 0.08); no wrong symmetry.
+def solved(sessions: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return NEES over dof (S, 2), corrected and as clouds come; biases (S,) in sd; the share of views lost.
 
-    Range bias and lens are drawn from their priors. The transform for clouds as they come is as honest as the one for
-    corrected ranges: where the sensors are is what both are measured by.
+    Range bias and lens are drawn from their priors.
     """
-    normalised, as_they_come, biases, lost = [], [], [], 0
-    for seed in range(SESSIONS):
+    normalised, biases, lost = [], [], 0
+    for seed in range(sessions):
         rng = np.random.default_rng(seed)
         mean_bias = rng.normal(0.0, 0.03)
         result = calibrate(with_drawn_lens(synthetic_views(VIEWS, rng, mean_bias=mean_bias), rng))
-        for rig, found in ((result.corrected, normalised), (result.rig, as_they_come)):
+        row = []
+        for rig in (result.corrected, result.rig):
             T, covariance = result.transform("cam", "lidar", rig)
             x = difference(T_CAMERA_LIDAR, T)
-            assert np.degrees(np.linalg.norm(x[:3])) < 5.0
-            found.append(x @ np.linalg.solve(covariance, x) / 6)
+            assert np.degrees(np.linalg.norm(x[:3])) < 5.0  # no wrong symmetry
+            row.append(x @ np.linalg.solve(covariance, x) / 6)
+        normalised.append(row)
         lost += sum(not view.used for view in result.views)
         bias, sigma = result.range_bias("lidar")
         biases.append((bias - mean_bias) / sigma)
-    assert lost <= 0.01 * SESSIONS * VIEWS
-    assert 0.8 < np.mean(normalised) < 1.25
-    assert 0.8 < np.mean(as_they_come) < 1.25
+    return np.array(normalised), np.array(biases), lost / (sessions * VIEWS)
+
+
+def test_covariances_are_not_too_small() -> None:
+    """The transform for clouds as they come is as honest as the one for corrected ranges."""
+    normalised, biases, _ = solved(15)
+    assert (normalised.mean(axis=0) < 1.25).all()
+    assert np.sqrt(np.mean(np.square(biases))) < 1.6  # of 15: its own sd is 0.18
+
+
+@pytest.mark.benchmark
+def test_fifty_sessions_with_known_truth(capsys: pytest.CaptureFixture[str]) -> None:
+    """NEES over degrees of freedom within 0.8-1.25 (its own sd over 50 sessions is 0.08), 1 % of the views lost."""
+    normalised, biases, lost = solved(SESSIONS)
+    with capsys.disabled():
+        print(
+            f"\nNEES / dof {normalised.mean(axis=0).round(2)} (asked: 0.8 to 1.25), views lost {lost:.1%} (asked: 1 %)"
+        )
+    assert lost <= 0.01
+    assert ((normalised.mean(axis=0) > 0.8) & (normalised.mean(axis=0) < 1.25)).all()
     assert 0.6 < np.sqrt(np.mean(np.square(biases))) < 1.4

@@ -69,7 +69,7 @@ def test_bundled_session(wrong: Wrong, tmp_path: Path) -> None:
 
 
 @needs_shared
-@pytest.mark.parametrize("name", RECORDED)
+@pytest.mark.parametrize("name", [pytest.param("session1", marks=pytest.mark.benchmark), "session3"])
 @pytest.mark.parametrize("wrong", WRONG, ids=lambda wrong: wrong.name)
 def test_recorded_sessions(wrong: Wrong, name: str, tmp_path: Path) -> None:
     shutil.copytree(SHARED / "data/mocap" / name, tmp_path / "s")
@@ -77,7 +77,9 @@ def test_recorded_sessions(wrong: Wrong, name: str, tmp_path: Path) -> None:
     check(wrong, tmp_path / "s")
 
 
-@pytest.mark.parametrize("name", ["small", "large", "symmetric"])
+@pytest.mark.parametrize(
+    "name", ["small", *(pytest.param(name, marks=pytest.mark.benchmark) for name in ("large", "symmetric"))]
+)
 @pytest.mark.parametrize("wrong", WRONG, ids=lambda wrong: wrong.name)
 def test_other_sizes(wrong: Wrong, name: str, made: dict[str, Path], tmp_path: Path) -> None:
     if name == "symmetric" and wrong.name == "names shifted by one corner":

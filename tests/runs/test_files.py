@@ -1,0 +1,120 @@
+"""Runs over many files: the document of all, byte for byte the same however often they were stopped, in flat memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from optshape_graph import InputError
+from optshape_graph.runs.files import UNREADABLE, Outcome, run_files
+from optshape_graph.runs.journal import journal_of
+from optshape_graph.runs.workers import Pool
+
+ROOT = Path(__file__).resolve().parents[2]
+
+MANY = 2_000 if os.environ.get("FAULTS", "1") == "1" else 100_000
+
+
+def look(path: str) -> Outcome:
+    """A result as large as that of a scan."""
+    status = UNREADABLE if path.endswith("bad") else "ok"
+    return Outcome(
+        status, () if status == "ok" else (f"{path}: bad",), {"scan": path, "numbers": [len(path) / 7] * 200}
+    )
+
+
+def failed(path: str, reason: str) -> Outcome:
+    return Outcome("failed", (reason,), {"scan": path})
+
+
+def document(paths: list[str], output: Path, **options: object) -> bytes:
+    with run_files(look, paths, failed, form="estimate", describe={}, output=output, **options):  # type: ignore[arg-type]
+        assert journal_of(output).exists()
+    assert not journal_of(output).exists()
+    return output.read_bytes()
+
+
+def test_the_document_does_not_depend_on_what_ran_it(tmp_path: Path) -> None:
+    paths = [f"scan_{k}" for k in range(20)] + ["bad"]
+    one = document(paths, tmp_path / "one.json")
+    assert [scan["scan"] for scan in json.loads(one)["scans"]] == paths
+    assert document(paths, tmp_path / "two.json", pool=Pool(2)) == one
+    assert document([], tmp_path / "none.json") == b'{\n  "schema": "optshape/estimate/1",\n  "scans": []\n}\n'
+
+
+def test_a_run_that_broke_off_goes_on(tmp_path: Path) -> None:
+    paths = [f"scan_{k}" for k in range(10)]
+    whole = document(paths, tmp_path / "whole.json")
+
+    def broken(done: int, total: int) -> None:
+        if done == 4:
+            raise KeyboardInterrupt
+
+    output = tmp_path / "a.json"
+    with pytest.raises(KeyboardInterrupt):
+        document(paths, output, progress=broken)
+    assert len(journal_of(output).read_bytes().splitlines()) == 5  # a head, and four files
+    seen: list[int] = []
+    assert document(paths, output, progress=lambda done, total: seen.append(done)) == whole
+    assert seen == [4, 5, 6, 7, 8, 9, 10]
+
+
+def test_files_that_have_changed_are_another_run(tmp_path: Path) -> None:
+    scan = tmp_path / "scan"
+    scan.write_text("a")
+
+    def broken(done: int, total: int) -> None:
+        if done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        document([str(scan)], tmp_path / "a.json", progress=broken)
+    scan.write_text("ab")
+    with pytest.raises(InputError, match="holds what is finished of another run"):
+        document([str(scan)], tmp_path / "a.json")
+
+
+def test_where_no_file_can_be_read_nothing_is_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="1bad: bad"):
+        document(["1bad", "2bad"], tmp_path / "a.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+SCRIPT = """
+import resource, sys, time
+from pathlib import Path
+from tests.runs.test_files import document
+paths = [f"scan_{k:06d}" for k in range(int(sys.argv[1]))]
+begun = time.perf_counter()
+def stop(done, total):
+    if sys.argv[3] == "stop" and done == total: raise SystemExit
+    if sys.argv[3] == "go on": print(time.perf_counter() - begun); raise SystemExit
+try:
+    document(paths, Path(sys.argv[2]), progress=stop)
+finally:
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def measured(count: int, output: Path, how: str) -> list[float]:
+    command = [sys.executable, "-c", SCRIPT, str(count), str(output), how]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, cwd=ROOT)
+    return [float(line) for line in done.stdout.split()]
+
+
+def test_memory_is_flat_and_going_on_is_quick(tmp_path: Path) -> None:
+    [few] = measured(100, tmp_path / "few.json", "whole")
+    [many] = measured(MANY, tmp_path / "many.json", "stop")
+    assert many - few < 60_000  # kB: names of files, and 8 bytes for each line
+    begun = time.perf_counter()
+    seconds, again = measured(MANY, tmp_path / "many.json", "go on")
+    assert seconds < 5.0
+    assert again - few < 60_000
+    assert time.perf_counter() - begun < 60.0
