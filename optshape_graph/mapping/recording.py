@@ -22,7 +22,7 @@ from optshape_graph.mapping.keyframes import NO_ODOMETRY, Keyframe, KeyframePoli
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.observe import Observed, observe, observe_all
 from optshape_graph.mapping.odometry import OdometryTrack
-from optshape_graph.mapping.registration import NOISE, UNKNOWN, moves, scan_odometry
+from optshape_graph.mapping.registration import NOISE, moves, scan_odometry, unknown_motion
 from optshape_graph.mapping.sweep import MotionNoise, Sweep
 from optshape_graph.runs.journal import Journal
 from optshape_graph.runs.workers import Pool
@@ -295,7 +295,7 @@ def _unknown(source: _Source, noise: MotionNoise | None) -> tuple[OdometryTrack 
             "no odometry, and the LiDAR moves: targets are off by what it moves within a revolution, which their "
             f"covariances say. To have its motion from the scans: {error}"
         )
-        return None, UNKNOWN
+        return None, unknown_motion(source.expected or 1)
     source.warnings.append("no odometry: the LiDAR's motion is taken from the scans, by KISS-ICP")
     return OdometryTrack(poses, None, noise or NOISE), None
 
