@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.console import say, say_passed_over, warn
 from optshape_graph.cli.html_report import conclude, report_option
 from optshape_graph.cli.options import force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
@@ -93,6 +93,7 @@ def command(
         with progress_bar("overlays") as progress:
             pictures.paths += save_overlays(calibration, plots, progress)
         pictures.tell()
+    say_passed_over(calibration.passed_over)
     for warning in calibration.warnings:
         warn(f"warning: {warning}")
     say(f"The calibration is {calibration.verdict}.")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.console import say, say_passed_over, warn
 from optshape_graph.cli.html_report import conclude, report_option
 from optshape_graph.cli.options import force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
@@ -75,6 +75,7 @@ def command(
         pictures.save("placements", plot_placements(result))
         pictures.save("markers", plot_marker_layout(result))
         pictures.tell()
+    say_passed_over(result.passed_over)
     for warning in result.warnings:
         warn(f"warning: {warning}")
     say(f"The calibration is {result.verdict}.")

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from optshape_graph.io.passed_over import PassedOver
+
 _FILE_WIDTH = 160
 """Columns of a table that goes to a file or a pipe."""
 
@@ -140,3 +142,9 @@ def _lines_of_progress(what: str) -> Callable[[int, int], None]:
             warn(f"{what}: {done} of {total} after {(now - begun) / 60:.0f} min")
 
     return report
+
+
+def say_passed_over(passed_over: PassedOver) -> None:
+    """Print what of the input was not used, a line for each reason."""
+    for line in passed_over.lines():
+        say(f"  {line}")

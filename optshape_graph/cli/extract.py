@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.console import say, say_passed_over, warn
 from optshape_graph.cli.options import FOLDER, Number
 
 if TYPE_CHECKING:
@@ -189,6 +189,4 @@ def _say(extraction: Extraction) -> None:
         say(f"  {extraction.thinned} left out by --every")
     for reason, count in extraction.dropped.items():
         say(f"  {count} dropped: {reason}")
-    for stream, reasons in extraction.skipped.items():
-        for reason, count in reasons.items():
-            say(f"  {count} messages of {stream} skipped: {reason}")
+    say_passed_over(extraction.passed_over)

@@ -51,6 +51,8 @@ def command(files: tuple[Path, ...], columns: str | None, json_path: Path | None
 def _print(facts: dict[str, Any], indent: int) -> None:
     width = max((len(name) for name in facts), default=0)
     for name, value in facts.items():
+        if name == "numbers":
+            continue  # for programs: the words say the same
         if isinstance(value, dict):
             say(" " * indent + name)
             _print(value, indent + 2)

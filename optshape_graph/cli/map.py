@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from optshape_graph.cli.console import SECONDS_BETWEEN, say, terminal, warn
+from optshape_graph.cli.console import SECONDS_BETWEEN, say, say_passed_over, terminal, warn
 from optshape_graph.cli.html_report import conclude, report_option
 from optshape_graph.cli.options import FILE, POSITIVE, Number, force_option, outside_option, pool_options
 from optshape_graph.cli.plots import Pictures, plot_option
@@ -153,8 +153,7 @@ def command(
         journal.remove()
     _say(result)
     pictures = _draw(result, plots) if plots else ()
-    document = {**result.map.to_dict(), "trajectory": [{}] * len(result.trajectory)}
-    conclude({**document, "report": {"problems": list(result.problems)}}, html, pictures)
+    conclude({**_document(result), "trajectory": [{}] * len(result.trajectory)}, html, pictures)
     return 3 if result.problems else 0
 
 
@@ -217,12 +216,18 @@ def _shown() -> Iterator[Callable[[Progress], None]]:
         yield lambda now: bar.update(task, completed=now.scans, total=now.expected, summary=summary(now))
 
 
+def _document(result: MapResult) -> dict[str, Any]:
+    """The map, with what there is to say of the run."""
+    return {**result.map.to_dict(), "report": {"problems": list(result.problems), **result.passed_over.to_dict()}}
+
+
 def _write(result: MapResult, json_file: Path | None, tum: Path | None, kitti: Path | None, g2o: Path | None) -> None:
+    from optshape_graph.io.documents import write_json
     from optshape_graph.io.trajectories import write_g2o, write_kitti, write_tum
     from optshape_graph.mapping.batch import pose_graph
 
     if json_file:
-        result.map.save(json_file)
+        write_json(json_file, _document(result))
     if tum:
         write_tum(tum, result.trajectory)
     if kitti:
@@ -266,8 +271,7 @@ def _say(result: MapResult) -> None:
     say_landmarks(result.map)
     if result.counts:
         say("  " + ", ".join(f"{count} {what}" for what, count in result.counts.items()))
-    for reason, count in (*progress.skipped.items(), *result.skipped.items()):
-        say(f"  {count} scans skipped: {reason}")
+    say_passed_over(result.passed_over)
     if not result.map.landmarks and progress.keyframes:
         say(
             "  no target was seen: `optshape detect` on one of the scans says what each surface lacks"

@@ -116,17 +116,18 @@ class LinearSystem(Value):
 
     def columns_of_covariance(self, keys: Sequence[int]) -> Floats:
         """Return the covariance (n, d) matrix of all unknowns with those of some variables, in their order."""
-        index = self._index(keys)
+        index = self.index(keys)
         unit = np.zeros((self.A.shape[1], len(index)))
         unit[index, np.arange(len(index))] = 1.0
         return self._solve(unit)
 
     def covariance(self, keys: Sequence[int]) -> Floats:
         """Return the joint covariance (d, d) of variables, in their order; of a pose, rotation (rad) first."""
-        covariance = self.columns_of_covariance(keys)[self._index(keys)]
+        covariance = self.columns_of_covariance(keys)[self.index(keys)]
         return np.asarray(0.5 * (covariance + covariance.T))
 
-    def _index(self, keys: Sequence[int]) -> Ints:
+    def index(self, keys: Sequence[int]) -> Ints:
+        """Return the numbers (d,) of the unknowns of some variables, in their order."""
         return np.concatenate([np.arange(self.columns[key].start, self.columns[key].stop) for key in keys])
 
     @cached_property

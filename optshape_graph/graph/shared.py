@@ -11,7 +11,7 @@ of which the first six link poses and errors, and the others are of the errors a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -21,6 +21,7 @@ from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.factors import BiasedMeasurement, SharedError
 from optshape_graph.factors._rows import factored, triangular
 from optshape_graph.graph.chain import Chain, Chains, State
+from optshape_graph.graph.linear import LinearSystem
 from optshape_graph.graph.terms import add_rows, huber, huber_weight
 from optshape_graph.se3 import vec, vec_derivative
 
@@ -149,15 +150,48 @@ class SharedErrorsModel(Value):
             add_rows(linear, [key], [rows[:, : len(errors)]], -rows[:, -1])
 
 
-def bias_gain(measurement: BiasedMeasurement, T_target_lidar: Floats) -> Floats:
-    """Return J^T W B (6, k): what the errors, in standard deviations, add to a measurement's information vector.
+def gain(measurement: BiasedMeasurement, T_target_lidar: Floats, own: Sequence[SharedError]) -> Floats:
+    """Return what errors add to a measurement's information vector where each measurement takes them for its own.
 
-    W is the inverse of I + B B^T: the information that is left where the errors are taken for the measurement's own.
+    With B their columns, J those of everything else and W the inverse of I + B B^T, it is J^T W B.
 
     Args:
-        measurement: with k shared errors.
-        T_target_lidar: (4, 4) pose, at whose right perturbation J is the whitened derivative.
+        measurement: linear in the errors.
+        T_target_lidar: (4, 4) pose of linearisation.
+        own: c of the measurement's errors.
+
+    Returns:
+        (6 + s, c) matrix, by the right perturbation of the pose, then by the s other errors in their order.
     """
     k = len(measurement.shared)
-    B, J = measurement.stack[:, :k], measurement.stack[:, k:-1] @ vec_derivative(T_target_lidar)
+    taken = np.array([error in own for error in measurement.shared], bool)
+    B, others = measurement.stack[:, :k][:, taken], measurement.stack[:, :k][:, ~taken]
+    J = np.hstack([measurement.stack[:, k:-1] @ vec_derivative(T_target_lidar), others])
     return np.asarray(J.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, B))
+
+
+def persistent(
+    system: LinearSystem, keys: Sequence[int], gains: Iterable[tuple[Sequence[tuple[Ints, Floats]], Sequence[Hashable]]]
+) -> Floats:
+    """Return the joint covariance (d, d) of variables, and in it that errors persist which an estimate took for new.
+
+    The estimate is x = P sum_k J_k^T W_k r_k, each measurement's errors taken for its own. With G_k their gain and G
+    the sum, x moves by P G beta if all errors are one beta, of which P holds sum_k P G_k G_k^T P. So the covariance is
+    P + P G G^T P - sum_k P G_k G_k^T P.
+
+    Args:
+        system: of the estimate; P is its covariance.
+        keys: of the variables.
+        gains: of each measurement, by some of the system's unknowns: their numbers, and the gain (n, c) matrix there;
+            and names (c,) of the errors: what is equal is the same error.
+    """
+    moved = system.columns_of_covariance(keys)
+    covariance = system.covariance(keys)
+    together: dict[Hashable, Floats] = {}
+    for blocks, errors in gains:
+        by = sum((moved[unknowns].T @ G for unknowns, G in blocks), np.zeros((len(covariance), len(errors))))
+        covariance = covariance - by @ by.T
+        for error, column in zip(errors, by.T, strict=True):
+            together[error] = together[error] + column if error in together else column
+    columns = np.array(list(together.values())).reshape(-1, len(covariance))
+    return np.asarray(covariance + columns.T @ columns)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,8 +16,11 @@ from optshape_graph.io.clouds.text import decode
 from optshape_graph.io.files import read_bytes, read_head
 from optshape_graph.scan import Scan
 
+if TYPE_CHECKING:
+    from optshape_graph.io.sensor_guess import Guess
+
 Facts = dict[str, Any]
-"""Names of facts to plain values: `form` is always there."""
+"""Names of facts to plain values: `form` is always there. `numbers` has them with units in the names, for programs."""
 
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".pnm")
 _VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".m4v")
@@ -91,8 +94,11 @@ def cloud_facts(columns: Columns) -> Facts:
         scan = make_scan(columns)
     except InputError as error:
         return {**facts, "problem": str(error)}
+    points = {"points": facts["points"]}
     facts |= scan_facts(scan)
-    facts["sensor"] = str(guess_sensor(scan))
+    guess = guess_sensor(scan)
+    facts["sensor"] = str(guess)
+    facts["numbers"] = points | facts["numbers"] | _guessed(guess)
     return facts
 
 
@@ -114,7 +120,18 @@ def scan_facts(scan: Scan) -> Facts:
         facts["times"] = "none"
     else:
         facts["times"] = f"{scan.time.min():.6f} to {scan.time.max():.6f} s, relative to the scan's stamp"
+    facts["numbers"] = {
+        "returns": len(scan),
+        "range_m": [float(distance.min()), float(np.median(distance)), float(distance.max())],
+        "elevations_deg": [float(elevation.min()), float(elevation.max())],
+        "n_rings": 0 if scan.ring is None else len(np.unique(scan.ring)),
+        "times_s": None if scan.time is None else [float(scan.time.min()), float(scan.time.max())],
+    }
     return facts
+
+
+def _guessed(guess: Guess) -> Facts:
+    return {"sensor": guess.sensor.name if guess.sensor else None, "misfits_deg": guess.misfits}
 
 
 def _type(values: np.ndarray[Any, Any]) -> str:
@@ -189,7 +206,10 @@ def _sensor_facts(sensor: Any) -> Facts:
     elevation = np.degrees(sensor.elevations)
     step = "not stated" if sensor.azimuth_step is None else f"{np.degrees(sensor.azimuth_step):.4f} deg"
     span = f"{elevation[0]:.3f} to {elevation[-1]:.3f} deg"
-    return {"name": sensor.name, "rings": sensor.n_rings, "elevations": span, "azimuth step": step}
+    return {"name": sensor.name, "rings": sensor.n_rings, "elevations": span, "azimuth step": step,
+            "numbers": {"n_rings": sensor.n_rings, "elevations_deg": [float(elevation[0]), float(elevation[-1])],
+                        "azimuth_step_deg": None if sensor.azimuth_step is None
+                        else float(np.degrees(sensor.azimuth_step))}}  # fmt: skip
 
 
 def _maker_table(path: Path) -> Facts | None:
@@ -262,6 +282,8 @@ def _trajectory(path: Path) -> Facts:
         "form": "trajectory (--odometry takes it)", "poses": len(trajectory), "length": f"{length:.3f} m",
         "stamps": _span(float(trajectory.stamps[0]), float(trajectory.stamps[-1])),
         "rate": f"{1 / np.median(np.diff(trajectory.stamps)):.1f} Hz",
+        "numbers": {"stamps": len(trajectory), "span_s": [float(trajectory.stamps[0]), float(trajectory.stamps[-1])],
+                    "length_m": length, "rate_hz": float(1 / np.median(np.diff(trajectory.stamps)))},
     }  # fmt: skip
 
 
@@ -273,8 +295,12 @@ def _stamps(path: Path, lines: list[str]) -> Facts:
         raise InputError(f"{path}: not called {', '.join(STAMP_FILES)}")
     words = [word for line in lines if line.strip() and not line.startswith("#") for word in line.split(",")[:1]]
     stamps = [stamp for word in words if (stamp := parse_stamp(word.strip().replace(" ", "T", 1))) is not None]
-    return {"form": "stamps of the files beside it", "stamps": len(stamps),
-            "span": _span(min(stamps), max(stamps)) if stamps else "none"}  # fmt: skip
+    facts: Facts = {"form": "stamps of the files beside it", "stamps": len(stamps), "span": "none"}
+    facts["numbers"] = {"stamps": len(stamps)}
+    if stamps:
+        facts["span"] = _span(min(stamps), max(stamps))
+        facts["numbers"]["span_s"] = [min(stamps), max(stamps)]
+    return facts
 
 
 def _angles(path: Path) -> Facts:
@@ -318,6 +344,8 @@ def _mocap_facts(recording: Any) -> Facts:
     return {
         "markers": ", ".join(recording.markers), "frames": len(recording.times), "rate": f"{recording.rate:g} Hz",
         "times": _span(float(recording.times[0]), float(recording.times[-1])), "gaps": f"{gaps:.1%} of all positions",
+        "numbers": {"stamps": len(recording.times), "span_s": [float(recording.times[0]), float(recording.times[-1])],
+                    "rate_hz": float(recording.rate), "gap_share": gaps},
     }  # fmt: skip
 
 
@@ -355,6 +383,8 @@ def _recording(path: Path) -> Facts:
         topic.name: f"{topic.kind}, {topic.type}" + ("" if topic.count is None else f", {topic.count} messages")
         for topic in topics
     }
+    listed = [{"name": t.name, "kind": t.kind, "type": t.type, "count": t.count} for t in topics]
+    facts["numbers"] = {"topics": listed} | ({"span_s": [float(t) for t in span]} if span else {})
     if not topics:
         facts["problem"] = "nothing in it that is read: a folder of clouds needs timestamps.txt"
     for topic in topics:
@@ -378,8 +408,11 @@ def _first_scan(recording: Any, topic: str) -> Iterator[tuple[str, Any]]:
     yield "stamp", f"{first.stamp:.6f} s"
     if frame := recording.mounting_frame(topic):
         yield "frame", frame
-    yield from scan_facts(first.value).items()
-    yield "sensor", str(guess_sensor(first.value))
+    facts, guess = scan_facts(first.value), guess_sensor(first.value)
+    numbers = {"stamp_s": first.stamp, **facts.pop("numbers"), **_guessed(guess)}
+    yield from facts.items()
+    yield "sensor", str(guess)
+    yield "numbers", numbers
 
 
 def _form_of_recording(path: Path) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.io.files import read_text
-from optshape_graph.io.mocap import MocapRecording, read_mocap
+from optshape_graph.io.mocap import UNLABELLED, MocapRecording, read_mocap
 from optshape_graph.target import LARGEST_EXTENT_M
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -30,10 +32,12 @@ class Markers(Value):
         frames: of each frame, the position (3,) of every marker, metres, motion-capture frame; NaN where a marker was
             not seen. Every frame has every marker.
         names: the markers, in the order in which they first occur.
+        passed_over: number of markers, frames and rows in the file that were not read, by reason.
     """
 
     frames: dict[int, dict[str, Floats]]
     names: tuple[str, ...]
+    passed_over: Mapping[str, int] = field(default_factory=dict)
 
 
 def states_its_units(path: str | Path) -> bool:
@@ -73,6 +77,7 @@ def read_markers(path: str | Path, units: str = "m") -> Markers:
         found = ",".join(header)[:80]
         raise InputError(f"{path}: expected a first line with the columns {','.join(_COLUMNS)}, found '{found}'")
     seen: dict[int, dict[str, Floats]] = {}
+    passed_over: Counter[str] = Counter()
     for line, cells in lines[1:]:
         where = f"{path}:{line}"
         if len(cells) != len(header):
@@ -80,6 +85,7 @@ def read_markers(path: str | Path, units: str = "m") -> Markers:
         row = dict(zip(header, cells, strict=True))
         frame, marker = _frame(where, row["frame"]), row["marker"]
         if not marker:
+            passed_over[UNLABELLED] += 1
             continue
         if marker in seen.setdefault(frame, {}):
             raise InputError(f"{where}: marker '{marker}' is given twice in frame {frame}")
@@ -92,7 +98,7 @@ def read_markers(path: str | Path, units: str = "m") -> Markers:
     missing = frozen(np.full(3, np.nan))
     frames = {frame: {name: markers.get(name, missing) for name in names} for frame, markers in seen.items()}
     _check_extent(path, frames, units)
-    return Markers(frames, names)
+    return Markers(frames, names, passed_over)
 
 
 def _of_recording(recording: MocapRecording) -> Markers:
@@ -100,7 +106,7 @@ def _of_recording(recording: MocapRecording) -> Markers:
         number: dict(zip(recording.markers, positions, strict=True))
         for number, positions in enumerate(recording.positions)
     }
-    return Markers(frames, recording.markers)
+    return Markers(frames, recording.markers, recording.passed_over)
 
 
 def _frame(where: str, text: str) -> int:

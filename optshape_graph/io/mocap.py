@@ -8,8 +8,8 @@ from __future__ import annotations
 import csv
 import logging
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +32,12 @@ _LOG = logging.getLogger(__name__)
 
 Rows = list[list[str]]
 
+OUTPUTS = "output of a model, no marker"
+UNLABELLED = "marker without a label"
+REPEATED = "marker of a name that is there already"
+LATE = "frame no later than the one before"
+"""Why a part of a file is passed over."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MocapRecording(Value):
@@ -43,6 +49,7 @@ class MocapRecording(Value):
         positions: (F, M, 3) metres, motion-capture frame; NaN where a marker was not seen.
         rate: frames per second.
         name: where it came from, for messages.
+        passed_over: number of markers and frames in the file that were not read, by reason.
 
     Raises:
         InputError: shapes that do not fit, names that repeat, times that do not increase, infinite positions.
@@ -53,6 +60,7 @@ class MocapRecording(Value):
     positions: Floats
     rate: float
     name: str = "motion capture"
+    passed_over: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         times, positions = frozen(self.times), frozen(self.positions)
@@ -92,7 +100,7 @@ class MocapRecording(Value):
         if missing := [marker for marker in markers if marker not in column]:
             raise InputError(f"{self.name}: no marker {missing[0]!r}; it has {', '.join(self.markers)}")
         columns = [column[marker] for marker in markers]
-        return MocapRecording(self.times, tuple(markers), self.positions[:, columns], self.rate, self.name)
+        return replace(self, markers=tuple(markers), positions=self.positions[:, columns])
 
     def at(self, times: Floats) -> Floats:
         """(N, M, 3) positions, metres, at other times (N,), seconds, between the frames on either side; NaN at gaps.
@@ -201,12 +209,10 @@ def _read_binary(form: str, path: Path) -> MocapRecording:
     if len(labels) < positions.shape[1]:
         raise InputError(f"{path}: {positions.shape[1]} markers but {len(labels)} labels")
     markers = [str(label) for label in labels[: positions.shape[1]]]
-    if outputs := [str(label) for label in content.get("outputs", ())]:
-        _LOG.info("%s: %d outputs of a model (angles, forces, ...) are no markers and passed over: %s", path,
-                  len(outputs), ", ".join(outputs[:5]))  # fmt: skip
+    passed_over = {OUTPUTS: len(content.get("outputs", ()))}
     scale = _metres(path, str(content["unit"]))
     times = _times(path, len(positions), rate) + int(content.get("first_frame", 0)) / rate
-    return _recording(path, times, markers, positions * scale, rate)
+    return _recording(path, times, markers, positions * scale, rate, passed_over)
 
 
 def read_motive_csv(path: str | Path) -> MocapRecording:
@@ -233,12 +239,12 @@ def read_motive_csv(path: str | Path) -> MocapRecording:
             else f"{path}: no markers and no rigid bodies in it"
         )
     labelled = [(name, k) for name, k in columns if not name.lower().startswith("unlabeled")]
-    if labelled and len(labelled) < len(columns):
-        _LOG.warning("%s: %d unlabeled markers are passed over", path, len(columns) - len(labelled))
-        columns = labelled
+    passed_over = {UNLABELLED: len(columns) - len(labelled)} if labelled else {}
+    columns = labelled or columns
     axes = [k + axis for _, k in columns for axis in range(3)]
     positions = _positions(path, motive.frames, axes, motive.scale)
-    return _recording(path, _column(path, motive.frames, 1), [name for name, _ in columns], positions, motive.rate)
+    return _recording(path, _column(path, motive.frames, 1), [name for name, _ in columns], positions, motive.rate,
+                      passed_over)  # fmt: skip
 
 
 def read_motive_bodies(path: Path) -> tuple[Floats, dict[str, Floats], str]:
@@ -342,10 +348,19 @@ def read_vicon_csv(path: str | Path) -> MocapRecording:
     return _recording(path, times, [name for name, _ in columns], positions, rate)
 
 
-def _recording(path: Path, times: Floats, markers: Sequence[str], positions: Floats, rate: float) -> MocapRecording:
+def _recording(
+    path: Path,
+    times: Floats,
+    markers: Sequence[str],
+    positions: Floats,
+    rate: float,
+    passed_over: Mapping[str, int] | None = None,
+) -> MocapRecording:
     """The recording without what is there twice: of markers of one name the first, of frames of one time the first."""
+    counts = Counter(passed_over or {})
     first = {name: k for k, name in reversed(list(enumerate(markers)))}
     if len(first) < len(markers):
+        counts[REPEATED] += len(markers) - len(first)
         repeated = sorted({name for k, name in enumerate(markers) if first[name] != k})
         _LOG.warning("%s: several markers are called %s; the first of each is read", path, ", ".join(repeated))
     latest = np.maximum.accumulate(times) if len(times) else times
@@ -355,9 +370,11 @@ def _recording(path: Path, times: Floats, markers: Sequence[str], positions: Flo
         _LOG.warning(
             "%s: %d of %d frames are no later than the one before and left out", path, (~later).sum(), len(later)
         )
+        counts[LATE] += int((~later).sum())
         times, positions = times[later], positions[later]
     kept = sorted(first.values())
-    return MocapRecording(times, tuple(markers[k] for k in kept), positions[:, kept], rate, str(path))
+    names = tuple(markers[k] for k in kept)
+    return MocapRecording(times, names, positions[:, kept], rate, str(path), +counts)
 
 
 def _text(path: Path) -> str:

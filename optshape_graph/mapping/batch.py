@@ -10,6 +10,7 @@ import numpy as np
 from optshape_graph.errors import InputError
 from optshape_graph.factors import SummaryFactor
 from optshape_graph.factors._rows import gaussian
+from optshape_graph.factors.static import RANGE_BIAS
 from optshape_graph.graph import Chains, SharedErrors, State, Templates, solve
 from optshape_graph.mapping.batch_solution import BatchSolution, Keys, Residual, pose_graph
 from optshape_graph.mapping.incremental_graph import LOSS
@@ -52,8 +53,9 @@ def solve_batch(
         for k, (_, match) in enumerate(problem.matches)
         if ring_biases and k not in as_built.numbers and (measurement := match.biased) is not None
     }
+    of_ranges = [m.without([error for error in m.shared if error.kind != RANGE_BIAS]) for m in biased.values()]
     shared = SharedErrors.of(
-        list(biased.values()),
+        of_ranges,
         [chains[k] for k in biased],
         [keys.biases[problem.matches[k][0], problem.matches[k][1].sighting.lidar] for k in biased],
         loss,
@@ -65,8 +67,9 @@ def solve_batch(
 
     solution = solve(values, [as_built, shared, alone], factors, keys.names(problem))
     models: Any = solution.models
+    ranges = dict(zip(shared.keys, shared.errors, strict=True))
     judged = list(zip((as_built.numbers, list(biased), plain), models, strict=True))
-    return BatchSolution(problem, solution, keys, as_built.refined(problem, solution.values), judged)
+    return BatchSolution(problem, solution, keys, as_built.refined(problem, solution.values), judged, biased, ranges)
 
 
 def factor_graph(problem: MappingProblem) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:

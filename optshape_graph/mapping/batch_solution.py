@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -13,13 +13,16 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 
-from optshape_graph._arrays import Floats, Value
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.errors import UnobservableError
-from optshape_graph.factors import summarise
+from optshape_graph.factors import BiasedMeasurement, SharedError, summarise
+from optshape_graph.factors.static import RANGE_BIAS
 from optshape_graph.graph import Chain, Chains, Inverse, Solution
+from optshape_graph.graph.shared import gain, persistent
 from optshape_graph.io.trajectories import PoseGraph, PoseGraphEdge, Trajectory
 from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.track import MappingProblem, Match
+from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
 
@@ -105,6 +108,9 @@ class BatchSolution(Value):
         keys: of the poses of each track, and of the landmarks.
         templates: of the landmarks, their vertices as built where those were refined.
         judged: numbers of the matches of each term, with what the solution's model of it says of them.
+        biased: by number of the match, its measurement with what the LiDAR's rings keep: errors of ranges, which are
+            variables, and others, which each match takes for its own.
+        ranges: errors of ranges, in the order of a LiDAR's variable, by its key.
     """
 
     problem: MappingProblem
@@ -112,6 +118,8 @@ class BatchSolution(Value):
     keys: Keys
     templates: Mapping[str, Target]
     judged: Sequence[tuple[Sequence[int], Judged]]
+    biased: Mapping[int, BiasedMeasurement]
+    ranges: Mapping[int, tuple[SharedError, ...]]
 
     def __repr__(self) -> str:
         poses, landmarks = sum(map(len, self.keys.poses)), len(self.keys.landmarks)
@@ -172,9 +180,24 @@ class BatchSolution(Value):
         keys = [self.keys.landmarks[name] for name in landmarks]
         keys += [self.keys.poses[names.index(track)][number] for track, number in poses]
         try:
-            return self.solution.covariance(keys)
+            plain = self.solution.covariance(keys)
         except UnobservableError as error:
             raise UnobservableError(f"the map is not determined: {error}", error.directions) from error
+        return persistent(self.solution.system, keys, self._gains()) if self.biased else plain
+
+    def _gains(self) -> Iterator[tuple[list[tuple[Ints, Floats]], list[Hashable]]]:
+        """What errors that each match took for its own add to the information vector, by match; see `persistent`."""
+        system, numbers = self.solution.system, list(self.biased)
+        matches = [self.problem.matches[k] for k in numbers]
+        relative = Chains([self.keys.chain(t, match) for t, match in matches]).at(self.solution.state)
+        for (t, match), measurement, H in zip(matches, self.biased.values(), relative, strict=True):
+            own = [error for error in measurement.shared if error.kind != RANGE_BIAS]
+            G, key = gain(measurement, H, own), self.keys.biases[t, match.sighting.lidar]
+            ranges = [self.ranges[key].index(error) for error in measurement.shared if error.kind == RANGE_BIAS]
+            target = system.index([self.keys.landmarks[match.landmark]])
+            lidar = system.index([self.keys.poses[t][match.pose]])
+            blocks = [(target, -adjoint(inverse(H)).T @ G[:6]), (lidar, G[:6]), (system.index([key])[ranges], G[6:])]
+            yield blocks, [(t, match.sighting.lidar, error) for error in own]
 
     def map(self) -> Map:
         """Return the map.

@@ -6,7 +6,7 @@ moves on, stale summaries are made again, some after every few poses, or all of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,11 +15,12 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Ints
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors import SharedError, Summary, summarise
+from optshape_graph.factors import Summary, summarise
 from optshape_graph.factors._rows import gaussian
-from optshape_graph.graph.shared import bias_gain
+from optshape_graph.graph.linear import LinearSystem
+from optshape_graph.graph.shared import gain, persistent
 from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.smoother import Smoother, joint_prior, root_of
 from optshape_graph.mapping.track import Match, Odometry, Start
@@ -164,38 +165,29 @@ class IncrementalGraph:
         return np.asarray(J @ joint @ J.T + added)
 
     def covariance_with_biases(self, landmarks: Sequence[str] = (), poses: Sequence[int] = ()) -> Floats:
-        """Return the joint covariance, and in it that the biases of a LiDAR's rings don't average away.
-
-        The estimate takes the biases of each match for its own: x = P sum_k J_k^T W_k r_k, W_k the inverse of
-        I + B_k B_k^T. With G_k = J_k^T W_k B_k and G their sum, x moves by P G beta if all biases are one beta, of
-        which P holds sum_k P G_k G_k^T P. So the covariance is P + P G G^T P - sum_k P G_k G_k^T P.
+        """Return the joint covariance, and in it that what a LiDAR's rings keep doesn't average away; see `persistent`.
 
         Raises:
             InputError: no such landmark or pose, or one that a lag has marginalised.
         """
         self._flush()
         plain = self.covariance(landmarks, poses)
-        biased = [(held, held.match.biased) for held in self._held]
-        found = [(held, measurement) for held, measurement in biased if measurement is not None]
-        if not found:
+        if all(held.match.sighting.biased is None for held in self._held):
             return plain
         system = self._smoother.system()
         keys = [*(self.landmarks[name].key for name in landmarks), *map(X, poses)]
-        moved = system.columns_of_covariance(keys)  # P, of all variables, by those asked for
-        shared: dict[tuple[str, SharedError], Floats] = {}
-        covariance = plain
-        for held, measurement in found:
-            G, H = bias_gain(measurement, held.T_target_lidar), held.T_target_lidar
-            target, lidar = (
-                system.columns[key] for key in (self.landmarks[held.match.landmark].key, X(held.match.pose))
-            )
-            by_bias = (moved[lidar].T - moved[target].T @ adjoint(inverse(H)).T) @ G
-            covariance = covariance - by_bias @ by_bias.T
-            for error, column in zip(measurement.shared, by_bias.T, strict=True):
-                own = held.match.sighting.lidar, error
-                shared[own] = shared[own] + column if own in shared else column
-        together = np.array(list(shared.values())).T
-        return np.asarray(covariance + together @ together.T)
+        return persistent(system, keys, self._gains(system))
+
+    def _gains(self, system: LinearSystem) -> Iterator[tuple[list[tuple[Ints, Floats]], list[Hashable]]]:
+        """What the errors of rings add to the information vector, by match; all are taken for its own."""
+        for held in self._held:
+            measurement = held.match.biased
+            if measurement is not None:
+                G = gain(measurement, held.T_target_lidar, measurement.shared)
+                target, lidar = self.landmarks[held.match.landmark].key, X(held.match.pose)
+                by_target = -adjoint(inverse(held.T_target_lidar)).T @ G
+                blocks = [(system.index([target]), by_target), (system.index([lidar]), G)]
+                yield blocks, [(held.match.sighting.lidar, error) for error in measurement.shared]
 
     def map(self) -> Map:
         """Return the landmarks."""

@@ -178,7 +178,7 @@ def session_scans(session: Session, skipped: Skipped) -> Iterator[Stamped[Scan]]
             skipped.add(BadMessage("stamp duplicated", f"{stamp} s"), str(view.scan))
             continue
         try:
-            scan = read_scan(view.scan, session.lidars[view.lidar])
+            scan = read_scan(view.scan, session.lidars[view.lidar], unused=skipped.unused)
         except InputError as error:
             skipped.add(BadMessage("unreadable file", str(error)), str(view.scan))
             continue

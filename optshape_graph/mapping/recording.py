@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError, MissingExtraError
+from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.recordings import Recording, Skipped, Stamped, Stream
 from optshape_graph.io.recordings.topics import Mounting
 from optshape_graph.io.sessions import Session, load_session
@@ -20,7 +22,7 @@ from optshape_graph.mapping.keyframes import NO_ODOMETRY, Keyframe, KeyframePoli
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.observe import Observed, observe, observe_all
 from optshape_graph.mapping.odometry import OdometryTrack
-from optshape_graph.mapping.registration import NOISE, UNKNOWN, moves, scan_odometry
+from optshape_graph.mapping.registration import NOISE, moves, scan_odometry, unknown_motion
 from optshape_graph.mapping.sweep import MotionNoise, Sweep
 from optshape_graph.runs.journal import Journal
 from optshape_graph.runs.workers import Pool
@@ -52,6 +54,7 @@ class MapResult:
         counts: of sightings, by what became of them.
         progress: of the run: scans, keyframes, sightings, and scans skipped by reason.
         skipped: messages of the recording that could not be used, by reason.
+        passed_over: what was not used of scans and odometry, those skipped by `skipped` and `progress` among them.
         mounting: where the LiDAR is on the body that the odometry is of, as the recording has it; None: it was given,
             or there is no odometry.
         warnings: what was taken for granted, in words.
@@ -64,6 +67,7 @@ class MapResult:
     counts: Mapping[str, int]
     progress: Progress
     skipped: Skipped
+    passed_over: PassedOver
     mounting: Mounting | None = None
     warnings: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
@@ -166,14 +170,13 @@ def map_recording(
     )
     build_map(slam, seen, noise, progress, report)
     slam.settle()
-    if isinstance(source.poses, Stream) and source.poses.skipped:
-        source.warnings.append(f"odometry: messages passed over: {source.poses.skipped}")
     result, solution = slam.map(), None
     if batch and lag is None and result.landmarks:
         solution = solve_batch(slam.problem(), as_built_sigma=as_built_sigma)
         result = solution.map()
     return MapResult(
-        result, source.name, solution, dict(slam.counts), progress, source.skipped(), source.mounting,
+        result, source.name, solution, dict(slam.counts), progress, source.skipped(),
+        _passed_over(source, progress), source.mounting,
         tuple(source.warnings), _problems(result, source, track, progress),
     )  # fmt: skip
 
@@ -292,7 +295,7 @@ def _unknown(source: _Source, noise: MotionNoise | None) -> tuple[OdometryTrack 
             "no odometry, and the LiDAR moves: targets are off by what it moves within a revolution, which their "
             f"covariances say. To have its motion from the scans: {error}"
         )
-        return None, UNKNOWN
+        return None, unknown_motion(source.expected or 1)
     source.warnings.append("no odometry: the LiDAR's motion is taken from the scans, by KISS-ICP")
     return OdometryTrack(poses, None, noise or NOISE), None
 
@@ -311,6 +314,14 @@ def _problems(result: Map, source: _Source, track: OdometryTrack | None, progres
         problems.append(f"no scan lies within the odometry: scans are {_span(progress.span)}, odometry is "
                         f"{_span(track.span)}: is a clock offset needed?")  # fmt: skip
     return tuple(problems)
+
+
+def _passed_over(source: _Source, progress: Progress) -> PassedOver:
+    skipped = source.skipped()
+    found = PassedOver({"scans": progress.skipped + skipped}, {"scans": skipped.unused})
+    if isinstance(source.poses, Stream):
+        found.skipped[f"messages of {source.poses.name}"] = Counter(source.poses.skipped)
+    return found
 
 
 def _span(span: tuple[float, float] | None) -> str:

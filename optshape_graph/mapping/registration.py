@@ -32,8 +32,8 @@ LOOKED_AT = 10
 AT_REST = 0.03
 """Change of the range in the same direction from scan to scan, median, metres, up to which a LiDAR stands."""
 
-UNKNOWN = Sweep(np.eye(4), np.zeros((2, 6)), np.diag([0.0, 1.0]), jitter=(0.5, 1.0))
-"""The motion of a LiDAR of which is known that it moves: by half a radian and a metre a second, standard deviations."""
+UNKNOWN = 0.5, 1.0
+"""Motion of a LiDAR of which is known that it moves: standard deviations, rad/s and m/s."""
 
 
 def scan_odometry(scans: Iterable[Stamped[Scan]]) -> Iterator[Stamped[Floats]]:
@@ -93,6 +93,16 @@ def moves(scans: Iterable[Stamped[Scan]]) -> bool:
     images = [_ranges(scan.value) for scan in first]
     changes = [np.abs(b - a)[np.isfinite(a) & np.isfinite(b)] for a, b in pairwise(images)]
     return bool(np.median([np.median(change) for change in changes if len(change)] or [0.0]) > AT_REST)
+
+
+def unknown_motion(n_scans: int) -> Sweep:
+    """Return the motion within each of some scans of a LiDAR of which is known that it moves, and nothing else.
+
+    It is much the same in all of them and doesn't average away: each is taken to be less known, so that together they
+    are as well known as one.
+    """
+    rotation, translation = (float(np.sqrt(max(n_scans, 1))) * sigma for sigma in UNKNOWN)
+    return Sweep(np.eye(4), np.zeros((2, 6)), np.diag([0.0, 1.0]), jitter=(rotation, translation))
 
 
 def _ranges(scan: Scan) -> Floats:

@@ -17,15 +17,15 @@ from optshape_graph.factors import (
     TemplateMeasurement,
     summarise,
 )
-from optshape_graph.factors.static import ELEVATION, RANGE_BIAS
+from optshape_graph.factors.static import EDGE_OFFSET, ELEVATION, RANGE_BIAS
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
 from optshape_graph.pose import PoseEstimate, PoseOptions
 from optshape_graph.se3 import PoseLike, as_transform, inverse
 from optshape_graph.target import Target
 
-OF_RINGS = (RANGE_BIAS, ELEVATION)
-"""Kinds of errors that the rings of a LiDAR keep from scan to scan."""
+KEPT = (RANGE_BIAS, ELEVATION, EDGE_OFFSET)
+"""Kinds of errors that a LiDAR keeps from scan to scan: of its rings, and how far in the returns at edges lie."""
 
 LOOSEST = 10.0
 """Standard deviation, rad or metres, beyond which a measurement does not determine a pose."""
@@ -276,15 +276,16 @@ class MappingProblem(Value):
 
 
 def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
-    """What the estimate's returns say before errors that the LiDAR's rings keep are marginalised.
+    """What the estimate's returns say before errors that the LiDAR keeps are marginalised.
 
-    Others are of one scan: where the target ends between two rings, and how far in the returns at edges lie. It is as
-    wide as the measurement, which is wider where associations disagree, and takes elevations to be exact.
+    Others are of one scan: where the target ends between two rings, and what isn't known of the board itself.
     """
     if estimate.shared is None:
         return None
-    biased = estimate.shared.without([e for e in estimate.shared.shared if e.kind not in OF_RINGS or e.ring is None])
-    alone = biased.marginal([float(error.kind != ELEVATION) for error in biased.shared])
-    own = np.trace(alone.information(estimate.T_target_lidar))
-    scale = float(np.sqrt(np.trace(estimate.measurement.information()) / own))
-    return replace(biased, stack=biased.stack * min(scale, 1.0))
+    return estimate.shared.without(
+        [
+            error
+            for error in estimate.shared.shared
+            if error.kind not in KEPT or (error.ring is None and error.kind != EDGE_OFFSET)
+        ]
+    )

@@ -30,6 +30,8 @@ def test_writes_everything(session):
     document = json.loads((session / "out.json").read_text())
     assert document["schema"] == "optshape/camera-calibration/1"
     assert [view["used"] for view in document["views"]] == [True, True, True, False]
+    assert document["skipped"] == {"images": {"unusable file": 1}}
+    assert "1 images skipped: unusable file" in result.output
     assert "cam0" in yaml.safe_load((session / "camchain.yaml").read_text())
     overlays = sorted((session / "overlays").iterdir())
     assert [path.name for path in overlays[3:]] == ["errors.png"]

@@ -193,6 +193,9 @@ def test_skipped_messages_are_reported(tmp_path, sensor):
     assert result.exit_code == 0, result.output
     assert "1 messages of" in result.output
     assert "skipped: truncated" in result.output
+    report = json.loads((tmp_path / "out/extract.json").read_text())
+    assert report["skipped"] == {f"{bag} /points": {"truncated": 1}}
+    assert report["unused_fields"] == {}
     session = load_session(tmp_path / "out/session.yaml")
     assert len(session.views) == 4
     assert len(session.targets) == 2

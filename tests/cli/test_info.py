@@ -105,3 +105,19 @@ def test_every_case_in_a_second() -> None:
     assert time.process_time() - start < 1.0
     assert facts["sensor"].startswith("vlp16")
     assert np.isfinite(facts["returns"])
+
+
+def test_numbers_beside_the_words(tmp_path: Path) -> None:
+    (tmp_path / "a.pcd").write_bytes(odd.pcd())
+    (tmp_path / "a.txt").write_text(odd.TUM)
+    _, said = info(str(tmp_path / "a.pcd"), str(tmp_path / "a.txt"), "--json", str(tmp_path / "i.json"))
+    assert "range_m" not in said
+    cloud, trajectory = (file["numbers"] for file in json.loads((tmp_path / "i.json").read_text())["files"])
+    assert cloud["points"] == cloud["returns"] == 12
+    assert cloud["n_rings"] == 4
+    np.testing.assert_allclose(cloud["range_m"], 5.0, atol=0.01)
+    assert cloud["elevations_deg"][0] < cloud["elevations_deg"][1]
+    assert {"sensor", "misfits_deg", "times_s"} <= cloud.keys()
+    assert trajectory["stamps"] == 2
+    assert trajectory["rate_hz"] == pytest.approx(10.0, abs=0.01)
+    assert trajectory["span_s"][1] - trajectory["span_s"][0] == pytest.approx(0.1, abs=1e-3)

@@ -153,7 +153,8 @@ def test_bad_scans_in_a_bag_are_skipped_with_a_reason_and_nothing_else_is_lost(r
         ("/points", good[3]),
     ]
     path = write_bag(tmp_path, "mcap", items, {"/points": "sensor_msgs/msg/PointCloud2"})
-    output = run(path, "--targets", recording / "board.yaml", "--json", tmp_path / "map.json")
+    # Six of ten are lost: the map is written, and not to be trusted to show all that was there.
+    output = run(path, "--targets", recording / "board.yaml", "--json", tmp_path / "map.json", code=3)
     assert "4 scans, 4 keyframes, 8 sightings: 2 landmarks, 4 poses" in output
     skipped = {line.split(": ")[1] for line in output.splitlines() if "scans skipped" in line}
     assert skipped == {

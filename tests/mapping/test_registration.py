@@ -10,7 +10,7 @@ from optshape_graph.errors import MissingExtraError
 from optshape_graph.io import load_sensor, load_target, write_scan
 from optshape_graph.io.recordings.stream import Stamped
 from optshape_graph.mapping import map_recording
-from optshape_graph.mapping.registration import UNKNOWN, moves, scan_odometry
+from optshape_graph.mapping.registration import moves, scan_odometry, unknown_motion
 from optshape_graph.runs.workers import Pool
 from optshape_graph.se3 import difference, exp, inverse
 from optshape_graph.simulation import Box, ConstantTwist, NoiseModel, Patch, Scene, simulate
@@ -76,4 +76,4 @@ def test_without_the_library_it_is_said_and_in_the_covariances(revolutions, tmp_
         # 99.9 % of chi-square with 6 degrees of freedom.
         assert error @ np.linalg.solve(landmark.covariance, error) < 22.5
     # A target that passes 40 ms after the stamp: 20 mrad and 40 mm, standard deviations.
-    np.testing.assert_allclose(np.sqrt(np.diag(UNKNOWN.uncertainty(0.0, 0.04))), [0.02] * 3 + [0.04] * 3)
+    np.testing.assert_allclose(np.sqrt(np.diag(unknown_motion(1).uncertainty(0.0, 0.04))), [0.02] * 3 + [0.04] * 3)

@@ -121,10 +121,11 @@ def test_wrong_and_ok(world: str, n: int) -> None:
 
 
 @pytest.mark.benchmark
-@pytest.mark.parametrize("world", WORLDS)
-def test_clean_scans_are_not_flagged(world: str) -> None:
-    """At most 0.5 % of 200 and of 50 without rings."""
-    result = table(world, {"clean": CLEAN["clean"]}, 200, 4004) | table(
-        world, {"clean, no rings": CLEAN["clean, no rings"]}, 50, 4004
-    )
-    assert sum(found["flagged"] for found in result.values()) <= 0.005 * 250
+def test_clean_scans_are_not_flagged() -> None:
+    """At most 0.5 %: of 200 of each world, and of 50 without rings."""
+    flagged = 0
+    for world in WORLDS:
+        flagged += table(world, {"clean": CLEAN["clean"]}, 200, 4004)["clean"]["flagged"]
+        flagged += table(world, {"clean, no rings": CLEAN["clean, no rings"]}, 50, 4004)["clean, no rings"]["flagged"]
+    print(f"flagged: {flagged} of {250 * len(WORLDS)}")
+    assert flagged <= 0.005 * 250 * len(WORLDS)

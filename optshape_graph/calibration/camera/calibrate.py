@@ -30,6 +30,7 @@ from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.camera.start import Start, find_start
 from optshape_graph.calibration.images.image_points import turn_about
 from optshape_graph.errors import EstimationError, InputError, UnobservableError
+from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Session, load_session
 
 FOLDS = 5
@@ -69,8 +70,10 @@ def calibrate_camera(
     if refine_intrinsics:
         for camera in loaded.cameras.values():
             CompiledCamera.of(camera).check_refinable()
-    views = read_views(loaded, use_target_points, progress)
-    return calibrate(views, Unknowns(range_bias_sigma, refine_intrinsics), progress)
+    passed_over = PassedOver()
+    views = read_views(loaded, use_target_points, progress, passed_over)
+    result = calibrate(views, Unknowns(range_bias_sigma, refine_intrinsics), progress)
+    return replace(result, passed_over=passed_over)
 
 
 def calibrate(

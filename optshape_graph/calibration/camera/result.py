@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,6 +22,7 @@ from optshape_graph.calibration.camera.uncertainty import Uncertainty
 from optshape_graph.calibration.free_shape import MeasuredShape, measure_shape
 from optshape_graph.calibration.verdict import NOT_TRUSTED, Finding, verdict
 from optshape_graph.errors import EstimationError
+from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.results import Result, Row
 from optshape_graph.se3 import adjoint, difference, inverse, inverse_covariance
 from optshape_graph.target import Target
@@ -66,6 +67,7 @@ class CameraCalibration(Result):
         shapes: each target's shape by each LiDAR's scans of the used views, vertices free, by the names of both.
         findings: what is wrong, or has to be known before trusting the result.
         sightings: how every sighting was read.
+        passed_over: what of the session's files was not used.
     """
 
     FORM: ClassVar[str] = "camera-calibration"
@@ -85,6 +87,7 @@ class CameraCalibration(Result):
     shapes: Mapping[tuple[str, str], MeasuredShape]
     findings: tuple[Finding, ...]
     sightings: tuple[Sighting, ...]
+    passed_over: PassedOver = field(default_factory=PassedOver, compare=False)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -207,6 +210,7 @@ class CameraCalibration(Result):
         document["targets"] = [_shape(lidar, shape) for (lidar, _), shape in self.shapes.items()]
         document["verdict"] = self.verdict
         document["warnings"] = list(self.warnings)
+        document |= self.passed_over.to_dict()
         return document
 
 

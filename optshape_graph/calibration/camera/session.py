@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import RANGE_BIAS, SharedError
 from optshape_graph.io import Session, read_scan
 from optshape_graph.io import View as Entry
+from optshape_graph.io.passed_over import UNUSABLE, PassedOver
 from optshape_graph.pose import PoseEstimate, estimate_pose
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, vec_derivative
@@ -36,7 +38,12 @@ ScanResult = TargetInScan | EstimationError | InputError
 ImageResult = TargetInImage | EstimationError | InputError
 
 
-def read_views(session: Session, use_target_points: bool = False, progress: Progress | None = None) -> list[View]:
+def read_views(
+    session: Session,
+    use_target_points: bool = False,
+    progress: Progress | None = None,
+    passed_over: PassedOver | None = None,
+) -> list[View]:
     """Find the session's targets in its scans and images.
 
     A file that cannot be read or shows no target becomes a view's `problem`, so that the others still count.
@@ -45,6 +52,7 @@ def read_views(session: Session, use_target_points: bool = False, progress: Prog
         session: with at least one camera.
         use_target_points: whether to take the target's returns from the views' manual crops.
         progress: called as images and scans are done.
+        passed_over: counts the scans and images that show nothing, and the clouds' fields that are not used.
 
     Raises:
         InputError: what `check_session` says; crops that were asked for are missing; or the intrinsics fit half of the
@@ -63,8 +71,11 @@ def read_views(session: Session, use_target_points: bool = False, progress: Prog
                 progress(done, total)
 
     images = _read_images(session, image_tasks, tick)
-    scans = _read_scans(session, scan_tasks, use_target_points, tick)
+    passed_over = PassedOver() if passed_over is None else passed_over
+    scans = _read_scans(session, scan_tasks, use_target_points, tick, passed_over.unused("scans"))
     _check_found(session, scans.values(), TargetInScan, "scan")
+    for source, results in (("scans", scans), ("images", images)):
+        _count_skipped(passed_over, source, results)
     placements = _placements(session.views)
     views = []
     for number, entry in enumerate(session.views):
@@ -181,24 +192,38 @@ def _check_found(session: Session, found: Iterable[object], kind: type, what: st
         raise EstimationError(f"{session.path}: no {what} shows a target: {'; '.join(reasons)}")
 
 
+def _count_skipped(passed_over: PassedOver, source: str, results: Mapping[tuple[Path, str, str], object]) -> None:
+    """Count the files that show none of their targets, by what the first of them says."""
+    files: dict[Path, list[object]] = {}
+    for (path, _, _), result in results.items():
+        files.setdefault(path, []).append(result)
+    for found in files.values():
+        if all(isinstance(one, Exception) for one in found):
+            passed_over.skip(source, UNUSABLE if isinstance(found[0], InputError) else "no target found")
+
+
 def _read_scans(
-    session: Session, tasks: Mapping[tuple[Path, str], list[str]], are_crops: bool, tick: Callable[[], None]
+    session: Session,
+    tasks: Mapping[tuple[Path, str], list[str]],
+    are_crops: bool,
+    tick: Callable[[], None],
+    unused: Counter[str],
 ) -> dict[tuple[Path, str, str], ScanResult]:
     results: dict[tuple[Path, str, str], ScanResult] = {}
     for (path, lidar), names in tasks.items():
         targets = {name: session.targets[name] for name in names}
-        for name, result in _in_scan(path, session.lidars[lidar], lidar, targets, are_crops).items():
+        for name, result in _in_scan(path, session.lidars[lidar], lidar, targets, are_crops, unused).items():
             results[path, lidar, name] = result
         tick()
     return results
 
 
 def _in_scan(
-    path: Path, sensor: SensorModel, lidar: str, targets: Mapping[str, Target], is_crop: bool
+    path: Path, sensor: SensorModel, lidar: str, targets: Mapping[str, Target], is_crop: bool, unused: Counter[str]
 ) -> dict[str, ScanResult]:
     """Find targets in one scan: in a crop by cleaning it, in a full one by detection."""
     try:
-        scan = read_scan(path, sensor)
+        scan = read_scan(path, sensor, unused=unused)
         if not is_crop:
             return _detected(scan, lidar, targets)
         if len(targets) > 1:

@@ -18,6 +18,7 @@ from optshape_graph.calibration.mocap.result import LeftOut, MocapCalibration
 from optshape_graph.calibration.mocap.session import load_mocap_scans
 from optshape_graph.calibration.verdict import Finding
 from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Session, load_session
 from optshape_graph.pose import refine
 from optshape_graph.se3 import angle, inverse
@@ -52,7 +53,8 @@ def calibrate_mocap(
             can be given, and the message says what seems to be wrong.
     """
     loaded = session if isinstance(session, Session) else load_session(session)
-    scans, left_out, checked = load_mocap_scans(loaded, layout_prior, progress)
+    passed_over = PassedOver()
+    scans, left_out, checked = load_mocap_scans(loaded, layout_prior, progress, passed_over)
     if len(scans) < 2:
         reasons = "".join(f"; {item.scan}: {item.reason}" for item in left_out)
         raise EstimationError(
@@ -62,7 +64,8 @@ def calibrate_mocap(
     if checked.doubted:
         scans, findings = _without_fallen(scans, checked)
     model = MarkerModel(marker_noise, layout_prior, estimate_scale)
-    return calibrate_scans(scans, model, left_out, findings, str(loaded.path))
+    result = calibrate_scans(scans, model, left_out, findings, str(loaded.path))
+    return replace(result, passed_over=passed_over)
 
 
 def calibrate_scans(

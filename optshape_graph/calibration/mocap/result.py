@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, shortened
 from optshape_graph.calibration.mocap.comparison import MocapScan, ScanError, mean_error
 from optshape_graph.calibration.verdict import NOT_TRUSTED, Finding, verdict
+from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.results import Result, Row
 from optshape_graph.se3 import inverse, inverse_covariance
 from optshape_graph.target import Target
@@ -49,6 +50,7 @@ class MocapCalibration(Result):
         scans: the scans that took part, with their markers as they were used.
         left_out: the scans that did not, and why.
         findings: what is wrong, was mended, or has to be known.
+        passed_over: what of the session's files was not used.
     """
 
     FORM: ClassVar[str] = "mocap"
@@ -67,6 +69,7 @@ class MocapCalibration(Result):
     scans: tuple[MocapScan, ...]
     left_out: tuple[LeftOut, ...]
     findings: tuple[Finding, ...]
+    passed_over: PassedOver = field(default_factory=PassedOver, compare=False)
 
     @property
     def target(self) -> Target:
@@ -133,6 +136,7 @@ class MocapCalibration(Result):
             "scale_sigma": self.scale_sigma,
             "scatter": self.scatter,
             "left_out": [{"scan": item.scan, "reason": item.reason} for item in self.left_out],
+            **self.passed_over.to_dict(),
         }
 
 

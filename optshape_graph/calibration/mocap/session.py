@@ -15,6 +15,7 @@ from optshape_graph.calibration.mocap.layout import CheckedMarkers, check_marker
 from optshape_graph.calibration.mocap.result import LeftOut
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.clouds import read_scan
+from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Mocap, Session, View
 from optshape_graph.pose import estimate_pose
 from optshape_graph.target import Target
@@ -24,6 +25,7 @@ def load_mocap_scans(
     session: Session,
     layout_prior: float = MarkerModel.layout_prior,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    passed_over: PassedOver | None = None,
 ) -> tuple[tuple[MocapScan, ...], tuple[LeftOut, ...], CheckedMarkers]:
     """Read and estimate every scan of a session that has markers, the markers checked and mended first.
 
@@ -31,6 +33,7 @@ def load_mocap_scans(
         session: with motion capture, of one LiDAR and one target; each scan holds the target's returns.
         layout_prior: standard deviation of a marker's place about its vertex along each axis, metres.
         progress: called with the number of scans done and their total.
+        passed_over: counts the scans that cannot be used, the clouds' fields and the markers that are not used.
 
     Returns:
         The scans that can be used; those that cannot, with reasons: no marker frame, too few markers, an estimate
@@ -50,13 +53,16 @@ def load_mocap_scans(
     wanted = dict.fromkeys(view.mocap_frame for view in session.views if view.mocap_frame is not None)
     frames = {number: _of_vertices(session.mocap.markers.frames[number], names) for number in wanted}
     checked = check_markers(target, frames, names, layout_prior, str(session.path))
+    passed_over = PassedOver() if passed_over is None else passed_over
+    for reason, count in session.mocap.markers.passed_over.items():
+        passed_over.skip("markers", reason, count)
     used: list[MocapScan] = []
     left_out: list[LeftOut] = []
     for done, view in enumerate(session.views):
         progress(done, len(session.views))
         folder = session.path.parent
         name = str(view.scan.relative_to(folder) if view.scan.is_relative_to(folder) else view.scan)
-        scan = _estimated(name, view, session, target, checked)
+        scan = _estimated(name, view, session, target, checked, passed_over)
         if isinstance(scan, LeftOut):
             left_out.append(scan)
         else:
@@ -65,23 +71,30 @@ def load_mocap_scans(
     return tuple(used), tuple(left_out), checked
 
 
-def _estimated(name: str, view: View, session: Session, target: Target, checked: CheckedMarkers) -> MocapScan | LeftOut:
+def _estimated(
+    name: str, view: View, session: Session, target: Target, checked: CheckedMarkers, passed_over: PassedOver
+) -> MocapScan | LeftOut:
+    def left_out(kind: str, reason: str) -> LeftOut:
+        passed_over.skip("scans", kind)
+        return LeftOut(name, reason)
+
     frame = view.mocap_frame
     if frame is None:
-        return LeftOut(name, "the session gives it no mocap_frame")
+        return left_out("no marker frame", "the session gives it no mocap_frame")
     if frame in checked.left_out:
-        return LeftOut(name, checked.left_out[frame])
+        return left_out("markers that contradict the target", checked.left_out[frame])
     markers = checked.frames[frame]
     seen = int(np.isfinite(markers).all(axis=1).sum())
     if seen < MIN_MARKERS:
-        return LeftOut(name, f"frame {frame} shows {seen} markers; {MIN_MARKERS} are needed")
-    returns = replace(read_scan(view.target_points or view.scan, session.lidars[view.lidar]), name=name)
+        return left_out("too few markers", f"frame {frame} shows {seen} markers; {MIN_MARKERS} are needed")
+    returns = read_scan(view.target_points or view.scan, session.lidars[view.lidar], unused=passed_over.unused("scans"))
+    returns = replace(returns, name=name)
     try:
         estimate = estimate_pose(returns, target)
     except EstimationError as error:
-        return LeftOut(name, str(error))
+        return left_out("no pose found", str(error))
     if estimate.status in ("failed", "ambiguous"):  # a doubtful one is judged by the other scans
-        return LeftOut(name, f"{estimate.status}: {estimate.reason}")
+        return left_out("no pose found", f"{estimate.status}: {estimate.reason}")
     return MocapScan(name, estimate, markers, frame, returns)
 
 

@@ -23,12 +23,14 @@ class Columns(Value):
         height: rows of an organised cloud, stored row by row; 1: not organised.
         name: the source, for messages.
         fired: whether the points are in the order in which the sensor's beams swept, one beam after the other (KITTI).
+        left_out: names of what the source has beside these and no column can hold (descriptors, Python objects).
     """
 
     values: dict[str, NDArray[np.generic]]
     height: int = 1
     name: str = "cloud"
     fired: bool = False
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

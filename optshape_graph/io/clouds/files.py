@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -81,7 +82,12 @@ def read_columns(path: str | Path, names: Sequence[str] | None = None) -> Column
     return {"pcd": read_pcd, "ply": read_ply, "npz": read_npz}[form](path)
 
 
-def read_scan(path: str | Path, sensor: SensorModel | None = None, columns: Sequence[str] | None = None) -> Scan:
+def read_scan(
+    path: str | Path,
+    sensor: SensorModel | None = None,
+    columns: Sequence[str] | None = None,
+    unused: Counter[str] | None = None,
+) -> Scan:
     """Read a cloud's file; see `make_scan` for what becomes of its columns.
 
     PCD (ascii, binary, binary_compressed), PLY, NPZ and NPY, text (CSV of whatever separator, VeloView, Ouster Studio,
@@ -91,12 +97,13 @@ def read_scan(path: str | Path, sensor: SensorModel | None = None, columns: Sequ
         path: the file.
         sensor: the sensor that made it, if known.
         columns: names of a file's columns that has none (text, floats, a NumPy array), in order; "_" passes one over.
+        unused: counts the names of columns that the scan does not have.
 
     Raises:
         InputError: a form that is not known, a file that is not what it seems, or columns that make no scan.
         MissingExtraError: the library for LAS or E57 is absent.
     """
-    return make_scan(read_columns(path, columns), sensor)
+    return make_scan(read_columns(path, columns), sensor, unused=unused)
 
 
 def write_scan(path: str | Path, scan: Scan) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,12 @@ NOISE_TAGS = 0b0101
 
 
 @np.errstate(invalid="ignore", over="ignore")  # of signalling NaNs and absurd numbers that a file may hold
-def make_scan(columns: Columns, sensor: SensorModel | None = None, stamp: float | None = None) -> Scan:
+def make_scan(
+    columns: Columns,
+    sensor: SensorModel | None = None,
+    stamp: float | None = None,
+    unused: Counter[str] | None = None,
+) -> Scan:
     """Make a scan of a cloud's columns.
 
     - Columns are known by many names (`columns.KNOWN`), whatever their case; a unit in the name counts.
@@ -52,6 +58,7 @@ def make_scan(columns: Columns, sensor: SensorModel | None = None, stamp: float 
         sensor: the sensor that made the cloud, if known.
         stamp: the scan's own time, seconds since the epoch, from which absolute times of points are counted; None:
             from the earliest.
+        unused: counts the names of columns that the scan does not have.
 
     Raises:
         InputError: no points or none left, columns of different lengths, millimetres, map coordinates, rings that are
@@ -89,6 +96,8 @@ def make_scan(columns: Columns, sensor: SensorModel | None = None, stamp: float 
         seconds = seconds_of_points(time, known["time"].unit, stamp, np.arctan2(points[:, 1], points[:, 0]))
         if seconds is None:
             _LOG.warning("%s: times of points that are not times; read without them", name)
+    if unused is not None:
+        unused.update(unused_columns(columns, known, seconds is not None))
     return Scan(
         points,
         _rings(columns, None if is_livox(known) else column("ring"), points, there, sensor),
@@ -97,6 +106,17 @@ def make_scan(columns: Columns, sensor: SensorModel | None = None, stamp: float 
         sensor,
         name,
     )
+
+
+def unused_columns(columns: Columns, known: dict[str, Role], with_times: bool) -> list[str]:
+    """Return the names of columns that a scan made of them does not have."""
+    tags = is_livox(known)
+    used = {
+        role.column
+        for what, role in known.items()
+        if (what != "time" or with_times) and (what != "tag" or tags) and (what != "xyz" or "x" not in known)
+    }
+    return [name for name in (*columns.values, *columns.left_out) if name not in used]
 
 
 def is_livox(known: dict[str, Role]) -> bool:

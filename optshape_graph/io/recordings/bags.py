@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager
 from functools import cached_property
@@ -83,7 +84,7 @@ class Bag:
         for number, data in enumerate(self._raw(name, skipped)):
             where = f"{self.path} {name} message {number}"
             try:
-                values = self._decode(topic, data, where, sensor)
+                values = self._decode(topic, data, where, sensor, skipped.unused)
             except BadMessage as problem:
                 skipped.add(problem, where)
                 continue
@@ -125,9 +126,11 @@ class Bag:
                 skipped.add(problem, f"{self.path} {topic.name} message {number}")
         yield from latest
 
-    def _decode(self, topic: Topic, data: bytes, where: str, sensor: SensorModel | None) -> list[Stamped[Any]]:
+    def _decode(
+        self, topic: Topic, data: bytes, where: str, sensor: SensorModel | None, unused: Counter[str]
+    ) -> list[Stamped[Any]]:
         if topic.kind == "scan":
-            return [messages.decode_scan(self.ros, topic.type, data, where, sensor)]
+            return [messages.decode_scan(self.ros, topic.type, data, where, sensor, unused)]
         if topic.kind == "image":
             return [messages.decode_image(self.ros, topic.type, data)]
         if topic.kind == "camera":

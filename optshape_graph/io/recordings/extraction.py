@@ -16,6 +16,7 @@ from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.documents import write_json
 from optshape_graph.io.mocap import MocapRecording
+from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.recordings.clocks import ClockOffset, estimate_clock_offset, marker_rotations
 from optshape_graph.io.recordings.recording import Recording
 from optshape_graph.io.recordings.sessionfiles import (
@@ -61,6 +62,7 @@ class Extraction(Value):
         thinned: number of scans that were complete and left out to keep the interval.
         dropped: number of scans dropped by reason.
         skipped: number of messages skipped by stream and reason.
+        unused: number of messages that had a field which is not used, by stream and field.
         lags: (V,) image stamp minus scan stamp, seconds, corrected for the clocks; empty without images.
     """
 
@@ -70,7 +72,13 @@ class Extraction(Value):
     thinned: int
     dropped: Mapping[str, int]
     skipped: Mapping[str, Mapping[str, int]]
+    unused: Mapping[str, Mapping[str, int]]
     lags: Floats
+
+    @property
+    def passed_over(self) -> PassedOver:
+        """What of the streams was not used."""
+        return PassedOver(*({f"messages of {name}": n for name, n in of.items()} for of in (self.skipped, self.unused)))
 
 
 def estimate_mocap_offset(
@@ -145,6 +153,7 @@ def extract_session(
     since = stamps - stamps[0]
     stamps = stamps[(since >= selection.start - ROUNDING) & (since <= selection.end + ROUNDING)]
     skipped = {scans.name: dict(scans.skipped)}
+    unused = {scans.name: dict(scans.skipped.unused)}
     dropped: Counter[str] = Counter()
     complete = np.ones(len(stamps), dtype=bool)
 
@@ -157,6 +166,7 @@ def extract_session(
         complete &= paired >= 0
     positions = np.zeros((len(stamps), 0, 3))
     if mocap is not None:
+        skipped[mocap.name] = dict(mocap.passed_over)
         positions = mocap.at(stamps - mocap_offset)
         seen = np.isfinite(positions[:, :, 0]).sum(axis=1) >= FEWEST_MARKERS
         dropped[f"fewer than {FEWEST_MARKERS} markers"] = int((complete & ~seen).sum())
@@ -187,6 +197,7 @@ def extract_session(
         len(chosen) - len(kept),
         {reason: count for reason, count in dropped.items() if count},
         skipped,
+        unused,
         np.array([image_stamps[paired[k]] + camera_offset - stamps[k] for k in views if images is not None]),
     )
     write_json(folder / "extract.json", _report(recording, extraction, selection, camera_offset, mocap_offset))
@@ -226,5 +237,6 @@ def _report(
         "thinned": extraction.thinned,
         "dropped": dict(extraction.dropped),
         "skipped": {name: dict(reasons) for name, reasons in extraction.skipped.items()},
+        "unused_fields": {name: dict(fields) for name, fields in extraction.unused.items() if fields},
         "image_lags_s": extraction.lags.tolist(),
     }

@@ -9,6 +9,7 @@ timestamps file or a link says.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -82,7 +83,7 @@ class Folder:
         for stamp, file in self._stamped_files(topic):
             self._inside(file)
             try:
-                value = self._read(file, topic.kind, sensor)
+                value = self._read(file, topic.kind, sensor, skipped.unused)
             except InputError as error:
                 problem = "unreadable file" if is_file(file) else "file missing"
                 skipped.add(BadMessage(problem, str(error)), str(file))
@@ -106,9 +107,9 @@ class Folder:
             raise InputError(f"{stamp_file}: {len(stamps)} stamps for the {count} frames of {video}")
 
     @staticmethod
-    def _read(file: Path, kind: Kind, sensor: SensorModel | None) -> Any:
+    def _read(file: Path, kind: Kind, sensor: SensorModel | None, unused: Counter[str]) -> Any:
         if kind == "scan":
-            return read_scan(file, sensor)
+            return read_scan(file, sensor, unused=unused)
         suffix = ".png" if file.suffix.lower() == ".png" else ".jpg"
         return CompressedImage(read_bytes(file), suffix)
 

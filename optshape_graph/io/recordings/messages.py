@@ -6,6 +6,7 @@ definitions embedded in a bag are compared with them and never compiled: reading
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -93,14 +94,16 @@ def read_message(ros: int, msgtype: str, data: bytes) -> Any:
         raise BadMessage("truncated or malformed", f"{len(data)} bytes: {error}") from error
 
 
-def decode_scan(ros: int, msgtype: str, data: bytes, name: str, sensor: SensorModel | None) -> Stamped[Scan]:
+def decode_scan(
+    ros: int, msgtype: str, data: bytes, name: str, sensor: SensorModel | None, unused: Counter[str] | None = None
+) -> Stamped[Scan]:
     """Return the scan of a PointCloud2, a Livox CustomMsg, or a Velodyne's packets.
 
     The layouts of drivers differ in what they call ring and time, and in type, unit and direction of both:
     Velodyne `ring`, `time` (float32, s since the stamp); Ouster `ring` from the top, `t` (uint32, ns since the
     stamp), organised; Hesai `ring`, `timestamp` (float64, epoch s); RoboSense the same; Livox no ring, `timestamp`
     (float64, epoch ns) or `offset_time` (uint32, ns). `make_scan` tells them apart. Times of a clock that is not the
-    stamp's count from the first point.
+    stamp's count from the first point. `unused` counts the names of fields that the scan does not have.
     """
     if msgtype in livox.TYPES:
         stamp, columns = livox.livox_columns(data, ros == 2, name)
@@ -114,7 +117,7 @@ def decode_scan(ros: int, msgtype: str, data: bytes, name: str, sensor: SensorMo
         raise BadMessage("no returns", f"{len(x)} points, all at the origin or not finite")
     try:
         with np.errstate(invalid="ignore", over="ignore"):  # damaged bytes are any number, signalling NaN among them
-            scan = make_scan(columns, sensor, stamp)
+            scan = make_scan(columns, sensor, stamp, unused)
     except InputError as error:
         raise BadMessage("not a scan", str(error)) from error
     if scan.time is not None and abs(np.median(scan.time)) > SAME_CLOCK:

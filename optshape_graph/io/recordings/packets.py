@@ -243,7 +243,7 @@ def _ouster_sdk() -> Any:
         import ouster.sdk.core
     except ImportError as cause:
         raise MissingExtraError(
-            f"ouster-sdk could not be imported ({cause}); install it with: pip install --no-deps ouster-sdk laspy "
-            "(its own requirements would replace rosbags by an older version)"
+            f"ouster-sdk could not be imported ({cause}). pip cannot install the extras 'ros' and 'ouster' together "
+            "(ouster-sdk asks for rosbags 0.9.23): install 'ros', then: pip install --no-deps ouster-sdk laspy"
         ) from cause
     return ouster.sdk.core

@@ -16,8 +16,8 @@ FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8
 def point_columns(message: Any, name: str) -> Columns:
     """Return the scalar fields of a sensor_msgs/PointCloud2, each (height * width,).
 
-    They are of the type and byte order in which they were sent. Fields of several values (descriptors), unnamed ones
-    (padding), and those outside of the point are left out.
+    They are of the type and byte order in which they were sent. Fields of several values (descriptors), those of an
+    unknown type and those outside of the point are left out, and named; unnamed ones (padding) are left out.
 
     Args:
         message: the deserialised message.
@@ -39,7 +39,8 @@ def point_columns(message: Any, name: str) -> Columns:
         raise BadMessage("truncated", f"{len(message.data)} bytes of data, {needed} declared")
     points = np.ndarray((height, width), _point_type(message), message.data, strides=(row_step, step))
     values = {field: points[field].reshape(-1) for field in points.dtype.names or ()}
-    return Columns(values, height, name)
+    left_out = dict.fromkeys(str(field.name) for field in message.fields if field.name and field.name not in values)
+    return Columns(values, height, name, left_out=tuple(left_out))
 
 
 def _point_type(message: Any) -> np.dtype[Any]:

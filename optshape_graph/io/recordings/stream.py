@@ -56,11 +56,13 @@ class Skipped(Counter[str]):
 
     Attributes:
         examples: what was found in the first message of each reason.
+        unused: number of messages that had a field which is not used, by its name.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.examples: dict[str, str] = {}
+        self.unused: Counter[str] = Counter()
 
     def add(self, problem: BadMessage, where: str, count: int = 1) -> None:
         """Count a message that was skipped, and log it."""

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import struct
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from optshape_graph import InputError
+from optshape_graph.errors import MissingExtraError
 from optshape_graph.io import load_sensor
-from optshape_graph.io.recordings import Recording
+from optshape_graph.io.recordings import Recording, packets
 from optshape_graph.io.recordings.packets import PACKET_BYTES, is_capture
 from tests.io.recordings.writing import maker, write_bag
 from tests.io.refusal import read_or_refused
@@ -164,3 +166,10 @@ def test_ouster(tmp_path: Path, where: str) -> None:
         assert scan.value.time is not None
         assert len(np.unique(scan.value.ring)) == 128
         np.testing.assert_allclose(np.linalg.norm(scan.value.points, axis=1), 5.0, rtol=0, atol=0.05)
+
+
+def test_without_ouster_sdk_the_message_says_how_to_install_it_beside_ros(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ouster.sdk.core", None)
+    with pytest.raises(MissingExtraError, match="pip install --no-deps ouster-sdk laspy") as caught:
+        packets._ouster_sdk()
+    assert "pip cannot install the extras 'ros' and 'ouster' together" in str(caught.value)

@@ -1,0 +1,57 @@
+"""What of the input was passed over: counted by where it was, and said in one way by every command."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+UNUSABLE = "unusable file"
+"""Why a file is skipped: it cannot be read, or is not what it is given as."""
+
+
+class PassedOver:
+    """Counts of what was not used.
+
+    Attributes:
+        skipped: by what they are of ("scans", "images", "messages of /points", ...), and by reason, the number of
+            items that could not be used.
+        fields: by what they are of, and by their name, the number of items that had a field which is not used.
+    """
+
+    def __init__(
+        self,
+        skipped: Mapping[str, Mapping[str, int]] | None = None,
+        fields: Mapping[str, Mapping[str, int]] | None = None,
+    ) -> None:
+        self.skipped = {source: Counter(reasons) for source, reasons in (skipped or {}).items()}
+        self.fields = {source: Counter(names) for source, names in (fields or {}).items()}
+
+    def skip(self, source: str, reason: str, count: int = 1) -> None:
+        """Count items that could not be used; the reason is a few words without numbers."""
+        if count:
+            self.skipped.setdefault(source, Counter())[reason] += count
+
+    def unused(self, source: str) -> Counter[str]:
+        """Return the counter of a source's fields that are not used, to be added to."""
+        return self.fields.setdefault(source, Counter())
+
+    def lines(self) -> list[str]:
+        """Return a line for each reason, and one for the fields of each source."""
+        said = [
+            f"{count} {source} skipped: {reason}"
+            for source, reasons in self.skipped.items()
+            for reason, count in reasons.items()
+        ]
+        for source, names in self.fields.items():
+            if names:
+                counted = ", ".join(f"{name} ({count} times)" for name, count in names.items())
+                said.append(f"fields of {source} that are not used: {counted}")
+        return said
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON form: `skipped` and `unused_fields`, by source."""
+        return {
+            "skipped": {source: dict(reasons) for source, reasons in self.skipped.items() if reasons},
+            "unused_fields": {source: dict(names) for source, names in self.fields.items() if names},
+        }
