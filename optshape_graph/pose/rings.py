@@ -129,15 +129,20 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
     else:
         on_edges, edge_weight = sampled_measurement(modes.sampled, on_plane)
     shared = on_edges + on_plane
-    exact = one_scan(shared).at(T[0])
-    T_target_lidar = refine(exact)
 
-    # What is uncertain beside: the surface, associations that disagree, ends that scatter more than they should.
-    shared = displaced(shared, measured.surface, measured.off_plane, target, T_target_lidar)
+    # What is uncertain beside: the surface, and associations that disagree or ends that scatter more than they should.
+    def displace(shared: BiasedMeasurement, T_target_lidar: Floats) -> BiasedMeasurement:
+        return displaced(shared, measured.surface, measured.off_plane, target, T_target_lidar)
+
+    T_target_lidar = refine(one_scan(shared).at(T[0]))
     if modes.sampled is None:
-        shared = _widened(shared, T_target_lidar, modes)
+        factor = _disagreement(displace(shared, T_target_lidar), T_target_lidar, modes)
     else:
-        shared = replace(shared, stack=shared.stack / ends.factor)
+        factor = ends.factor
+    shared = replace(shared, stack=shared.stack / factor)
+    exact = one_scan(shared).at(T_target_lidar)  # errors that are shared weigh otherwise now: its minimum is its own
+    T_target_lidar = refine(exact)
+    shared = displace(shared, T_target_lidar)
 
     # How the ring ends lie about the edges there.
     final = edge_geometry(problem, T_target_lidar[None], labels)
@@ -289,20 +294,19 @@ def _without_shifts(B: Floats) -> Floats:
     return np.asarray(np.eye(len(B)) - (B * ((1 - 1 / np.sqrt(1 + square)) / square)) @ B.T)
 
 
-def _widened(shared: BiasedMeasurement, T_target_lidar: Floats, modes: Modes) -> BiasedMeasurement:
-    """Scale a measurement down where associations of the best mode disagree about the pose.
+def _disagreement(shared: BiasedMeasurement, T_target_lidar: Floats, modes: Modes) -> float:
+    """Return the factor on standard deviations by which associations of the best mode disagree about the pose.
 
-    The covariance of the mixture about the estimate, averaged over directions, is the measurement's own times a
-    factor of at least 1.
+    The covariance of the mixture about the estimate, averaged over directions, is the measurement's own times the square
+    of a factor of at least 1.
     """
     weight, posterior = modes.weights, modes.candidates
     rows = np.flatnonzero(weight)
     if len(rows) == 1:
-        return shared
+        return 1.0
     xi = difference(T_target_lidar, posterior.T_target_lidar[rows])
     second_moment = np.einsum("c,cij->ij", weight[rows], posterior.covariance[rows] + xi[:, :, None] * xi[:, None, :])
-    factor = max(1.0, float(np.trace(one_scan(shared).information(T_target_lidar) @ second_moment)) / 6.0)
-    return replace(shared, stack=shared.stack / np.sqrt(factor))
+    return float(np.sqrt(max(1.0, np.trace(one_scan(shared).information(T_target_lidar) @ second_moment) / 6.0)))
 
 
 def _objection(problem: Problem, geometry: EdgeGeometry, offset: float, min_explained: float) -> str:
