@@ -297,8 +297,8 @@ def _without_shifts(B: Floats) -> Floats:
 def _disagreement(shared: BiasedMeasurement, T_target_lidar: Floats, modes: Modes) -> float:
     """Return the factor on standard deviations by which associations of the best mode disagree about the pose.
 
-    The covariance of the mixture about the estimate, averaged over directions, is the measurement's own times the square
-    of a factor of at least 1.
+    The covariance of the mixture about the estimate, averaged over directions, is the measurement's own times
+    the square of a factor of at least 1.
     """
     weight, posterior = modes.weights, modes.candidates
     rows = np.flatnonzero(weight)
