@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from optshape_graph._arrays import Floats, Ints, Value, frozen
+from optshape_graph._arrays import Floats, Ints, Value, brief, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.sensor import SensorModel
 
@@ -59,7 +59,7 @@ class Scan(Value):
 
     def __repr__(self) -> str:
         rings = "" if self.ring is None else f", {len(np.unique(self.ring))} rings"
-        return f"Scan('{self.name}', {len(self)} returns{rings})"
+        return f"Scan({brief(self.name)}, {len(self)} returns{rings})"
 
     def select(self, index: NDArray[np.bool_] | NDArray[np.int64]) -> Scan:
         """Return the returns that a mask (N,) or an index array (M,) picks, with all their fields."""

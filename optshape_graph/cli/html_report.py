@@ -53,7 +53,14 @@ def command(result: Path, pictures: tuple[Path, ...], output: Path, force: bool)
     RESULT.json is what estimate, detect, calibrate, map or design choose wrote; PICTURES are drawings of it.
     """
     from optshape_graph.cli.outputs import Outputs
-    from optshape_graph.io.documents import read_json
+    from optshape_graph.evaluation.verdicts import JUDGED, kind_of
+    from optshape_graph.io.documents import check_document, read_json
 
     Outputs([result, *pictures], force=force).file("--output", output)
-    conclude(read_json(result).value, output, pictures)
+    document = read_json(result)
+    schema = document.fields(["schema"])["schema"]
+    kind = kind_of(document.value)
+    if kind not in JUDGED:
+        schema.expected(f"the result of {', '.join(JUDGED)}")
+    check_document(document, kind)
+    conclude(document.value, output, pictures)

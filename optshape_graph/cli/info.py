@@ -36,14 +36,16 @@ def command(files: tuple[Path, ...], columns: str | None, json_path: Path | None
         except OptshapeError as error:
             problems.append(error)
             found.append({"file": str(file), "form": None, "problem": str(error)})
-            warn(f"{error}")
             continue
         found.append({"file": str(file), **facts})
         say(file)
         _print(facts, 2)
     if json_path:
         write_json(json_path, {"schema": "optshape/info/1", "files": found})
-    if len(problems) == len(files):
+    none_is_read = len(problems) == len(files)
+    for problem in problems[none_is_read:]:
+        warn(problem)
+    if none_is_read:
         raise problems[0]
     return 3 if problems else 0
 

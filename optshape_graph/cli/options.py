@@ -17,7 +17,22 @@ MOST_SEED = 2**63 - 1
 """Of NumPy's seeds that fit a JSON number everywhere."""
 
 FILE = click.Path(dir_okay=False, path_type=Path)
-FOLDER = click.Path(file_okay=False, path_type=Path)
+
+
+class Folder(click.Path):
+    """A folder by its name; an empty one, as of a shell's variable that is not set, is not the current folder."""
+
+    def __init__(self) -> None:
+        super().__init__(file_okay=False, path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the folder's path."""
+        if value == "":
+            self.fail("expected the name of a folder, found ''", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FOLDER = Folder()
 
 
 class Number(click.ParamType):  # type: ignore[type-arg]  # generic in newer versions of click only

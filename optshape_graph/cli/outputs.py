@@ -14,7 +14,7 @@ from optshape_graph.errors import InputError
 OF_INPUTS = frozenset({
     ".pcd", ".ply", ".npz", ".npy", ".csv", ".bin", ".las", ".laz", ".pcap", ".bag", ".mcap", ".db3", ".yaml", ".yml",
     ".json", ".xml", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".c3d", ".tsv", ".mat", ".trc", ".stl", ".obj", ".ipynb",
-    ".py", ".md",
+    ".py", ".md", ".txt",
 })  # fmt: skip
 """Endings of files that hold somebody's work: they are not written over unasked."""
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from optshape_graph.cli.console import say
+from optshape_graph.cli.options import FOLDER
 from optshape_graph.names import file_name
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def plot_option(what: str, *aliases: str) -> Callable[[Callable[..., Any]], Call
             help="Of the pictures.", expose_value=False, is_eager=True, callback=_keep_ending,
         )  # fmt: skip
         folder = click.option(
-            "--plot", *aliases, "plots", type=click.Path(file_okay=False, path_type=Path), metavar="DIR",
+            "--plot", *aliases, "plots", type=FOLDER, metavar="DIR",
             callback=_checked, help=f"Write pictures to this folder: {what}.",
         )  # fmt: skip
         return folder(ending(function))

@@ -183,18 +183,18 @@ def _svg(drawing: Drawing, sheet: Sheet) -> bytes:
     return buffer.getvalue()
 
 
-def _pdf(pages: Sequence[tuple[Drawing, Sheet]]) -> bytes:
-    figures = [figure_of(drawing, sheet) for drawing, sheet in pages]
+def _pdf(sheets: Sequence[tuple[Drawing, Sheet]]) -> bytes:
+    figures = [figure_of(drawing, sheet) for drawing, sheet in sheets]
     import matplotlib
     from matplotlib.backends.backend_pdf import PdfPages
 
     buffer = io.BytesIO()
     with (
         matplotlib.rc_context({"pdf.fonttype": 42, "path.simplify": False}),
-        PdfPages(buffer, metadata={"CreationDate": None, "Title": pages[0][0].title}) as file,
+        PdfPages(buffer, metadata={"CreationDate": None, "Title": sheets[0][0].title}) as pages,
     ):
         for figure in figures:
-            file.savefig(figure)
+            pages.savefig(figure)
     return buffer.getvalue()
 
 

@@ -54,7 +54,7 @@ def verdict_of(document: Mapping[str, Any]) -> Verdict:
     """
     kind = kind_of(document)
     if kind not in _JUDGES:
-        raise InputError(f"'{document.get('schema')}': expected the result of {', '.join(sorted(_JUDGES))}")
+        raise InputError(f"'{document.get('schema')}': expected the result of {', '.join(JUDGED)}")
     return _JUDGES[kind](document)
 
 
@@ -217,3 +217,6 @@ _JUDGES: dict[str, Callable[[Mapping[str, Any]], Verdict]] = {
     "map": _map,
     "design-choice": _choice,
 }
+
+JUDGED = tuple(sorted(_JUDGES))
+"""Forms that there are verdicts on."""

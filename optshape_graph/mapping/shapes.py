@@ -17,7 +17,6 @@ from optshape_graph.factors import ShapeMeasurement, shape_rows
 from optshape_graph.factors._rows import gaussian, marginalised
 from optshape_graph.graph import Chains, State, add_rows
 from optshape_graph.mapping.batch_solution import Keys
-from optshape_graph.mapping.smoother import sqrt_information
 from optshape_graph.mapping.track import MappingProblem, Sighting
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.pose.azimuth_grid import level_rings
@@ -103,8 +102,8 @@ class AsBuilt(Value):
         """Yield the templates as priors of the vertices."""
         for name, target in self.targets.items():
             gauge = _gauge(target)
-            covariance = self.sigma**2 * (np.eye(len(gauge)) - gauge @ gauge.T) + GAUGE_SIGMA_M**2 * gauge @ gauge.T
-            noise = gaussian(sqrt_information(covariance))
+            moves = gauge @ gauge.T  # a projection, and so is what it leaves: the square root is theirs, exactly
+            noise = gaussian((np.eye(len(gauge)) - moves) / self.sigma + moves / GAUGE_SIGMA_M)
             yield gtsam.PriorFactorVector(self.shapes[name], target.polygon.ravel(), noise)
 
     def at(self, state: State) -> AsBuiltModel:

@@ -46,6 +46,7 @@ RUNS: dict[str, tuple[str, set[str]]] = {
     ),
     "map": ("map {session} --one-each --json {out}/a.json --tum {out}/a.tum --g2o {out}/a.g2o", {"map"}),
     "merge": ("merge {one} {two} --json {out}/a.json", {"map"}),
+    "report": ("report {one} -o {out}/a.html", set()),
     "evaluate simulation": (
         "evaluate simulation --distance 4 --rpy 0 0 0 --noise 0 --seeds 1 --method global -o {out}",
         {"sweep", "sweep-task"},

@@ -40,7 +40,7 @@ def test_parity_mode_gives_the_published_number_of_points(tmp_path):
 def test_same_seed_same_file(tmp_path):
     clouds = []
     for seed in (1, 1, 2):
-        assert run(tmp_path, "--range", 8, "--noise", "sensor", "--seed", seed, "--dropout", 0.02).exit_code == 0
+        assert run(tmp_path, "--range", 8, "--noise", "sensor", "--seed", seed, "--dropout", 0.02, "--force").exit_code == 0
         clouds.append((tmp_path / "scan.pcd").read_bytes())
     assert clouds[0] == clouds[1] != clouds[2]
 
@@ -55,7 +55,7 @@ def test_noise_options_change_parts_of_the_level(tmp_path):
 def test_rings_are_left_out(tmp_path):
     assert run(tmp_path, "--range", 8, "--remove-rings", "14,15").exit_code == 0
     assert not set(read_scan(tmp_path / "scan.pcd", load_sensor("vlp32c")).ring) & {14, 15}
-    assert run(tmp_path, "--range", 8, "--remove-share", 0.5, "--seed", 4).exit_code == 0
+    assert run(tmp_path, "--range", 8, "--remove-share", 0.5, "--seed", 4, "--force").exit_code == 0
     left_out = json.loads((tmp_path / "scan.json").read_text())["rings_left_out"]
     assert left_out
     assert not set(read_scan(tmp_path / "scan.pcd", load_sensor("vlp32c")).ring) & set(left_out)

@@ -237,6 +237,12 @@ ROWS: dict[str, tuple[str, Files, tuple[str, ...]]] = {
     "a result that is of no kind": ("view r.json", {"r.json": '{"schema": "optshape/poem/1"}'}, ("r.json: schema: 'optshape/poem/1' cannot be shown in space; expected one of: ",)),
     "a result of a newer form": ("view r.json", {"r.json": '{"schema": "optshape/estimate/2", "scans": []}'}, ("r.json: schema: 'optshape/estimate/2' cannot be shown in space",)),
     "a result without its scans": ("view r.json", {"r.json": '{"schema": "optshape/estimate/1"}'}, ("r.json: the key 'scans' is missing; found only: schema",)),
+    "a report of no result": ("report r.json", {"r.json": '{"schema": "optshape/poem/1"}'}, ("r.json: schema: expected the result of camera-calibration, ", "found 'optshape/poem/1'")),
+    "a report of a hollow result": ("report r.json", {"r.json": '{"schema": "optshape/estimate/1"}'}, ("r.json: the key 'scans' is missing",)),
+    "a report of a list": ("report r.json", {"r.json": "[1]"}, ("r.json: expected a mapping, found a list",)),
+    # maps that become one
+    "a merge with no map": ("merge a.json b.json --json c.json", {"a.json": MAP, "b.json": '{"schema": "optshape/poem/1"}'}, ("b.json",)),
+    "a merge of maps with nothing in common": ("merge a.json b.json --json c.json", {"a.json": MAP, "b.json": MAP.replace('"A"', '"B"')}, ("landmark",)),
     # information
     "information on no file": ("info nosuch.pcd", {}, ("nosuch.pcd: no such file or folder",)),
     "information on a binary file": ("info a.dat", {"a.dat": b"\0\1\2"}, ("a.dat: a binary file of no form that is read here; it begins with 00 01 02",)),

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 import optshape_graph
+from optshape_graph.errors import InputError
 from optshape_graph.io.files import write_atomically
 from tests.cli.test_outputs import RUNS, inputs
 from tests.io.test_bad_inputs import said
@@ -120,16 +121,19 @@ def test_a_disk_that_is_full_or_read_only(
     small_disk: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_atomically(small_disk / "a.pcd", "old")
+    status, error = said(f"simulate --range 3 -o {small_disk}/a.pcd --force", capsys, monkeypatch)
+    assert status == 2
+    assert f"bytes are free at {small_disk}; about" in error  # it is found out before the work
     for _ in range(2):
-        status, error = said(f"simulate --range 3 -o {small_disk}/a.pcd", capsys, monkeypatch)
-        assert (status, error) == (
-            2, f"optshape: error: {small_disk}/a.pcd: cannot be written (No space left on device)\n",
-        )  # fmt: skip
+        with pytest.raises(InputError, match=r"a\.pcd: cannot be written \(No space left on device\)"):
+            write_atomically(small_disk / "a.pcd", b"new" * (1 << 20))
         assert [path.name for path in small_disk.iterdir()] == ["a.pcd"]
         assert (small_disk / "a.pcd").read_text() == "old"
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
     status, error = said(f"design score square -o {small_disk}/b.json", capsys, monkeypatch)
-    assert (status, error) == (2, f"optshape: error: {small_disk}/b.json: cannot be written (Read-only file system)\n")
+    assert (status, error) == (
+        2, f"optshape: error: --output: nothing can be written to {small_disk} (Read-only file system)\n",
+    )  # fmt: skip
 
 
 LIMITED = """
@@ -153,6 +157,7 @@ def test_a_limit_on_the_size_of_files(tmp_path: Path) -> None:
 
 SLOW = """
 import os, sys, time
+from optshape_graph.errors import InputError
 from optshape_graph.io.files import write_atomically
 def wait(_):
     print("written", flush=True)
