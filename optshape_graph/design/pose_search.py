@@ -56,6 +56,9 @@ class Placements(Value):
         largest_tilt: of the target away from facing the sensor, rad.
         lost_rings: share of the rings that every second placement loses.
         seed: of the attitudes and lost rings: the same for every shape.
+
+    Raises:
+        InputError: no sensor, no distance, or fewer than 4 placements in a cell.
     """
 
     sensors: tuple[SensorModel, ...]
@@ -165,7 +168,7 @@ class PoseProblem(Value):
         return self.placements.errors(self.reference.scaled_to_area(self.limits.area))
 
     def ratios(self, target: Target) -> Floats:
-        """(C, 2, 2) errors of a target over those of the reference, both with the area of the limits."""
+        """(C, 2, 2) ratios of a target's errors to those of the reference, both with the area of the limits."""
         return self.placements.errors(target.scaled_to_area(self.limits.area)) / self.reference_errors
 
     def cost(self, target: Target) -> float:

@@ -187,11 +187,12 @@ def _merit(scores: Floats, slacks: Floats) -> Floats:
 
 
 def parameters_of(x: Floats) -> Floats:
+    """Turn (N, 5) unknowns of the solver into (N, 5) parameters of the family."""
     return np.column_stack([x[:, 0], x[:, 1], np.exp(x[:, 2]), x[:, 3:]])
 
 
 def unknowns_of(parameters: Floats) -> Floats:
-    """(5,) theta, k, log lambda, v1, v2: what the solver moves."""
+    """Turn (5,) parameters into the (5,) unknowns that the solver moves: theta, k, log lambda, v1, v2."""
     unknowns = np.array(parameters, dtype=float)
     unknowns[2] = np.log(unknowns[2])
     return unknowns

@@ -29,7 +29,13 @@ class Rays(Value):
 
 
 def returned_near(scan: OrderedScan, T_lidar_target: Floats, radius: float) -> Rays:
-    """Find the returned rays that pass within `radius`, metres, of a target's origin in its plane."""
+    """Find the returned rays that pass within `radius`, metres, of a target's origin in its plane.
+
+    Args:
+        scan: the ordered scan.
+        T_lidar_target: (4, 4) pose of the target.
+        radius: metres.
+    """
     T = inverse(T_lidar_target)
     near = scan.toward(T_lidar_target[:3, 3], radius)
     points = scan.points[near] @ T[:3, :3].T + T[:3, 3]

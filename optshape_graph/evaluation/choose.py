@@ -111,7 +111,7 @@ class Trial(Value):
     passes: bool = False
 
     def quantile(self, errors: Floats) -> float | None:
-        """95th percentile of the errors of the scans that are ok; None where none is."""
+        """Return the 95th percentile of (N,) errors, rad or metres, of the scans that are ok; None where none is."""
         ok = errors[np.array(self.statuses) == "ok"] if len(errors) else errors
         return float(np.quantile(ok, SHARE)) if len(ok) else None
 

@@ -75,7 +75,7 @@ def estimate_moving(returns: Scan, target: Target, motion: Floats | Sweep) -> tu
     Args:
         returns: on the target, with times.
         target: the template.
-        motion: as of `deskew`.
+        motion: a twist (6,), rad/s and m/s, or a sweep, as of `deskew`.
 
     Returns:
         The estimate of T_lidar_target at a time, and that time, seconds, relative to the scan's stamp.

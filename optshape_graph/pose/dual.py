@@ -47,8 +47,8 @@ def closed_form_bounds(forms: Floats, rotations: Floats) -> tuple[Floats, Floats
 
     Args:
         forms: (B, 10, 10) costs x^T F x of x = [vec R (column-major); 1].
-        rotations: (B, 3, 3) a minimum of each, such as `certificate.refine_rotation` gives. Elsewhere the bound still
-            holds, but is far below.
+        rotations: (B, 3, 3) rotations, a minimum of each cost, such as `certificate.refine_rotation` gives. Elsewhere
+            the bound still holds, but is far below.
 
     Returns:
         The bounds (B,), -inf where the form leaves the last two columns of W undetermined; and the second smallest

@@ -288,7 +288,7 @@ def _near(scan: Scan, estimate: PoseEstimate) -> Floats:
 
 def _front_and_side(target: Target) -> tuple[Figure, Axes, Axes]:
     """A figure with the front and, as high, the side."""
-    figure = new_figure(10.0, 6.0)
+    figure = new_figure(10.0, 6.6)
     front, side = figure.subplots(1, 2, width_ratios=(FRONT_TO_SIDE, 1.0), sharey=True)
     _front_axes(front, target)
     front.set_title("front, as the LiDAR sees it")
