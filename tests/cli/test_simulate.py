@@ -40,10 +40,8 @@ def test_parity_mode_gives_the_published_number_of_points(tmp_path):
 def test_same_seed_same_file(tmp_path):
     clouds = []
     for seed in (1, 1, 2):
-        assert (
-            run(tmp_path, "--range", 8, "--noise", "sensor", "--seed", seed, "--dropout", 0.02, "--force").exit_code
-            == 0
-        )
+        result = run(tmp_path, "--range", 8, "--noise", "sensor", "--seed", seed, "--dropout", 0.02, "--force")
+        assert result.exit_code == 0
         clouds.append((tmp_path / "scan.pcd").read_bytes())
     assert clouds[0] == clouds[1] != clouds[2]
 

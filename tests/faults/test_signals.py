@@ -116,7 +116,7 @@ def test_stopped_and_gone_on(name: str, number: signal.Signals, world: Path) -> 
             process.send_signal(number)
             begun = time.monotonic()
             status = process.wait(timeout=60)
-            assert time.monotonic() - begun < 2.0 + BUSY
+            assert time.monotonic() - begun < 1.5 + BUSY  # 2 s on a machine with nothing else to do
             said = process.communicate()[1]
         if status not in (0, 3):  # it had not finished before
             assert status == (-9 if number == signal.SIGKILL else 128 + number), said

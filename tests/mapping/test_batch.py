@@ -138,7 +138,8 @@ def test_a_robust_loss_bears_outliers():
     assert min(r.weight for r in robust.residuals) < 0.2
 
 
-def test_vertices_are_refined_to_what_was_built():
+@pytest.mark.parametrize("sigma", [0.02, 1.0])
+def test_vertices_are_refined_to_what_was_built(sigma):
     built = Target.from_polygon(TARGET.polygon + 0.02 * np.array([[1, 0], [0, -1], [-1, 0.5], [0, 0.5]]))
     rng = np.random.default_rng(4)
     T_target = at(5.0, 0.0, 0.0)
@@ -155,7 +156,7 @@ def test_vertices_are_refined_to_what_was_built():
     )
     start = Start(poses[0], 1e-8 * np.eye(6))
     track = Track("robot", np.arange(20.0), poses, edges, tuple(matches), start)
-    solution = solve_batch(MappingProblem((track,), {"t": TARGET}, {"t": T_target}), as_built_sigma=0.02)
+    solution = solve_batch(MappingProblem((track,), {"t": TARGET}, {"t": T_target}), as_built_sigma=sigma)
     assert solution.converged
     refined = solution.templates["t"]
     lengths = [np.linalg.norm(np.roll(t.vertices, -1, axis=0) - t.vertices, axis=1) for t in (refined, built, TARGET)]
