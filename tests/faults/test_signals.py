@@ -44,12 +44,12 @@ RUNS = {
 """A run of each command that goes on where it was stopped, and what it writes."""
 
 
-@pytest.fixture(scope="module")
 def allowed(seconds: float) -> float:
-    """Seconds that an end may take: as asked by `make faults`; beside other tests, whose load says nothing, ten more."""
+    """Seconds that an end may take: as asked by `make faults`; beside other tests, which are load, ten more."""
     return seconds if MANY > 1 else seconds + 10.0
 
 
+@pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Inputs: many crops, some full scans, and a drive with odometry."""
     from optshape_graph.io import load_sensor, load_target, write_scan
