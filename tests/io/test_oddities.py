@@ -18,7 +18,7 @@ import pytest
 from optshape_graph import InputError
 from optshape_graph.io import load_camera, load_sensor, read_scan
 from optshape_graph.io.clouds.npz import read_npy
-from optshape_graph.io.mocap import read_mocap
+from optshape_graph.io.mocap import UNLABELLED, read_mocap
 from optshape_graph.io.trajectories import read_trajectory
 from tests.io import test_cameras as cameras
 from tests.io.test_mocap import motive_csv, vicon_csv
@@ -404,7 +404,7 @@ MOCAP: dict[str, tuple[str, str, tuple[str, ...] | Refused, str]] = {
     "Motive with bodies and markers": ("a.csv", motive_csv(), ("corner0", "corner1", "corner2", "corner3"), ""),
     "Motive with bodies only": ("a.csv", BODIES.format(kind="Rigid Body"), no("no markers in it, but rigid bodies: Board", "--odometry"), ""),
     "Motive with nothing": ("a.csv", BODIES.format(kind="Bone"), no("no markers and no rigid bodies in it"), ""),
-    "Motive with unlabeled markers": ("a.csv", motive_csv().replace("corner3", "Unlabeled 1234"), ("corner0", "corner1", "corner2"), "1 unlabeled markers are passed over"),
+    "Motive with unlabeled markers": ("a.csv", motive_csv().replace("corner3", "Unlabeled 1234"), ("corner0", "corner1", "corner2"), ""),
     "Motive with a label twice": ("a.csv", motive_csv().replace("corner3", "corner0"), ("corner0", "corner1", "corner2"), "several markers are called corner0"),
     "Vicon with a label twice": ("a.csv", vicon_csv().replace("corner3", "corner0"), ("corner0", "corner1", "corner2"), "several markers are called"),
     "a spreadsheet": ("a.xlsx", "", no("motion capture is read from .c3d, .mat, "), ""),
@@ -423,6 +423,7 @@ def test_motion_capture(name: str, tmp_path: Path, caplog: pytest.LogCaptureFixt
     found = read_mocap(path)
     assert tuple(marker.rpartition(":")[2] for marker in found.markers) == expected
     assert said in caplog.text
+    assert found.passed_over.get(UNLABELLED, 0) == (name == "Motive with unlabeled markers")
     if name.startswith("TRC"):
         np.testing.assert_allclose(found.positions[0, 0], [1, 2, 3], rtol=0, atol=1e-12)
         np.testing.assert_allclose(found.times, [0, 0.01], rtol=0, atol=1e-12)

@@ -206,7 +206,7 @@ def rigid(translation: Any, quaternion: Any) -> Floats:
     q = np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
     if not (np.isfinite(t).all() and np.isfinite(q).all()):
         raise BadMessage("pose not finite", f"translation {t.tolist()}, quaternion {q.tolist()}")
-    if abs(np.linalg.norm(q) - 1) > 0.01:
+    if np.abs(q).max() > 2 or abs(np.linalg.norm(q) - 1) > 0.01:  # the square of a damaged number overflows
         raise BadMessage("quaternion not of unit norm", f"{q.tolist()}")
     T = np.eye(4)
     T[:3, :3] = Rotation.from_quat(q).as_matrix()

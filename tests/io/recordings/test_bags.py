@@ -3,6 +3,7 @@
 import contextlib
 import sys
 import tracemalloc
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from scipy.spatial.transform import Rotation
 from optshape_graph import InputError, SensorModel
 from optshape_graph.io import read_scan
 from optshape_graph.io.recordings import Recording
+from optshape_graph.io.recordings.messages import rigid
+from optshape_graph.io.recordings.stream import BadMessage
 from tests.io.recordings.writing import LAYOUTS, STORAGES, layout, maker, points, write_bag
 from tests.shared import SHARED, needs_shared
 
@@ -455,3 +458,10 @@ def test_livox_in_every_form_is_the_same_scan(tmp_path):
         np.testing.assert_allclose(scan.points, cloud.points, atol=1e-6)
         np.testing.assert_allclose(scan.time, 1e-6 * np.delete(np.arange(12), 3), atol=3e-7)  # float64 of 1.7e18 ns
         assert len(scan) == 11
+
+
+def test_a_damaged_quaternion_is_no_rotation():
+    """Its square is more than a number holds: refused, without a warning of it."""
+    huge, origin = SimpleNamespace(x=1e200, y=0.0, z=0.0, w=1.0), SimpleNamespace(x=0.0, y=0.0, z=0.0)
+    with pytest.raises(BadMessage, match="not of unit norm"):
+        rigid(origin, huge)
