@@ -209,7 +209,9 @@ def _rows_of_table(
     counted = [rows for rows in numberings if rows.min() >= 0 and rows.max() < n]
     misfits = [np.maximum(np.abs(medians - table[rows]) - noise, 0) for rows in counted]
     if misfits:
-        best = min(range(len(misfits)), key=lambda i: float(misfits[i].mean()))  # of equals the first
+        means = [float(misfit.mean()) for misfit in misfits]
+        chance = float(noise.mean()) / np.sqrt(len(noise))
+        best = next(i for i, mean in enumerate(means) if mean <= min(means) + chance)  # of equals the first
         if (misfits[best] <= COUNTED_TOLERANCE + _beam_origin(ranges)).all():
             return counted[best]
     nearest = sensor.nearest_ring(medians)
