@@ -19,6 +19,8 @@ from optshape_graph.target import Target
 REVOLUTION_S = 0.1
 """Time between scans that have no stamps, seconds."""
 
+_DEFAULTS = DetectionOptions()
+
 SURROUNDINGS = 2.0
 """How far about a target returns are looked at, in its diameters: what hangs free is told by what is beside it."""
 
@@ -44,7 +46,7 @@ class TargetTracker:
     def __init__(
         self,
         targets: Target | Sequence[Target],
-        options: DetectionOptions = DetectionOptions(),
+        options: DetectionOptions = _DEFAULTS,
         *,
         everywhere_every: int = 10,
         speed: float = 3.0,

@@ -37,7 +37,8 @@ def test_a_drive_is_followed_and_poses_are_those_of_whole_scans(searched: list[i
     tracker, scans = TargetTracker([PAPER, SQUARE], everywhere_every=5), [drive(k) for k in range(6)]
     for k, scan in enumerate(scans):
         tracked, whole = tracker.find(scan, 0.1 * k), detect_targets(scan, [PAPER, SQUARE])
-        assert [one.target.name for one in tracked.found] == [one.target.name for one in whole.found] and tracked.found
+        assert [one.target.name for one in tracked.found] == [one.target.name for one in whole.found]
+        assert tracked.found
         for mine, its in zip(tracked.found, whole.found, strict=True):
             np.testing.assert_array_equal(mine.indices, its.indices)
             np.testing.assert_allclose(mine.estimate.T_lidar_target, its.estimate.T_lidar_target, atol=1e-9)

@@ -36,7 +36,11 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
 
 
 def decompress_slowly(data: bytes, size: int) -> bytes:
-    """Return the same without the library: some fifty times slower, and it says what is damaged."""
+    """Return the same without the library: some fifty times slower, and it says what is damaged.
+
+    Raises:
+        InputError: as `lzf_decompress`.
+    """
     out, i, n = bytearray(), 0, len(data)
     try:
         while i < n:
