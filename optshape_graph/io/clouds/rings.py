@@ -42,7 +42,7 @@ SWEEP_JITTER = np.radians(0.2)
 MOST_SWEEPS = 256
 """Beams of the largest sensors."""
 
-ENOUGH_RETURNS = 1 << 16
+ENOUGH_RETURNS = 1 << 14
 """Returns that tell the elevations of all beams; of a larger cloud as many are looked at, of each beam its share."""
 
 LARGEST_STRAY_SHARE = 0.1
