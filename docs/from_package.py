@@ -31,12 +31,12 @@ class FromPackage(Preprocessor):
 class FromPackageExtension(Extension):
     """Adds `FromPackage`."""
 
-    def extendMarkdown(self, md: Markdown) -> None:  # noqa: N802
+    def extendMarkdown(self, md: Markdown) -> None:
         """Register the preprocessor."""
         md.preprocessors.register(FromPackage(md), "from_package", FIRST)
 
 
-def makeExtension(**options: Any) -> Extension:  # noqa: N802
+def makeExtension(**options: Any) -> Extension:
     """Return the extension: what Python-Markdown asks a module for."""
     return FromPackageExtension(**options)
 

@@ -9,14 +9,14 @@ from typing import Any
 import click
 
 from optshape_graph.cli.console import say, warn
-from optshape_graph.cli.options import FILE, FOLDER, force_option, outside_option
+from optshape_graph.cli.options import FILE, FOLDER, example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "published_": "paper"}
 """Prefix of columns, and what the printed table calls them."""
 
 
-@click.command()
+@click.command(epilog=example("optshape evaluate mocap recordings -o evaluation"))
 @click.argument("folder", type=FOLDER, metavar="DIR")
 @click.option("--reference", type=FILE, metavar="FILE",
               help="Another method's estimates, to compare in the same way: JSON, 'session folder/scan' to an entry "
@@ -41,8 +41,6 @@ def command(
     DIR holds session folders, each with a session.yaml. Errors are leave-one-out: each scan is compared in a frame
     fitted to the other scans of its session. Writes mocap.csv and mocap.parquet to the output folder. Exit status 3:
     some scans took no part; the results of the others are written.
-
-    Example: optshape evaluate mocap recordings -o evaluation
     """
     from optshape_graph.cli.console import print_table, progress_bar
     from optshape_graph.cli.outputs import Outputs

@@ -7,10 +7,10 @@ from pathlib import Path
 import click
 
 from optshape_graph.cli.console import say
-from optshape_graph.cli.options import FOLDER, force_option, outside_option, seed_option
+from optshape_graph.cli.options import FOLDER, example, force_option, outside_option, seed_option
 
 
-@click.command(epilog="\b\nExample:\n  optshape evaluate paper --draws 5 --mocap recordings -o paper")
+@click.command(epilog=example("optshape evaluate paper --draws 5 --mocap recordings -o paper"))
 @click.option(
     "--draws", type=click.IntRange(1, 10_000), default=5, show_default=True, help="Scans of a row of Table I."
 )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 import click
 
 from optshape_graph.cli.console import say
-from optshape_graph.cli.options import ANGLE, DISTANCE, FOLDER, Number, force_option, pool_options, seed_option
+from optshape_graph.cli.options import ANGLE, DISTANCE, FOLDER, Number, example, force_option, pool_options, seed_option
 
 if TYPE_CHECKING:
     from optshape_graph.evaluation.harness import Row
@@ -20,14 +20,19 @@ TABLES = ("scans.csv", "scans.parquet", "cells.csv", "groups.csv", "consistency.
 """What is written to the output folder."""
 
 
-@click.command()
+@click.command(epilog=example("optshape evaluate simulation --seeds 20 --workers 4 -o sweep"))
 @click.option("--target", "target_name", default="paper", show_default=True, help="Built-in name, NAME@AREA, or file.")
 @click.option(
     "--sensor", "sensor_name", help="Built-in name or file.  [default: the paper's simulator, quirks included]"
 )
 @click.option("--method", "methods", multiple=True, type=click.Choice(["global", "paper"]), help="May be repeated.")
 @click.option(
-    "--distance", "distances", multiple=True, type=DISTANCE, help="May be repeated.  [default: 2 to 40 m by 2 m]"
+    "--range",
+    "--distance",
+    "distances",
+    multiple=True,
+    type=DISTANCE,
+    help="Of the target, m; may be repeated.  [default: 2 to 40 m by 2 m]",
 )
 @click.option("--rpy", "angles", multiple=True, nargs=3, type=ANGLE, metavar="R P Y",
               help="Degrees, R = Rx Ry Rz; may be repeated.  [default: 0 0 0 and 20 30 30]")  # fmt: skip
@@ -76,8 +81,6 @@ def command(
     estimate that knows which ring ends on which edge. A uniform quantiser has no such bound: a ring's end counts as
     Gaussian with the variance of one azimuth step, step^2 / 12, so errors without noise can be smaller. It knows of no
     flipped poses, and takes each noisy azimuth by itself, so errors of angular noise can be smaller, too.
-
-    Example: optshape evaluate simulation --seeds 20 --workers 4 -o sweep
     """
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.evaluation import SimulationSweep
