@@ -50,7 +50,7 @@ def conclude(document: Mapping[str, Any], html: Path | None, pictures: Sequence[
 def command(result: Path, pictures: tuple[Path, ...], output: Path, force: bool) -> None:
     """Write what a result means as one HTML file: verdict, numbers, pictures, what to do next.
 
-    RESULT.json is what estimate, detect, calibrate, map or design choose wrote; PICTURES are drawings of it.
+    RESULT.json is what estimate, detect, calibrate, map, evaluate or design choose wrote; PICTURES are drawings of it.
     """
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.evaluation.verdicts import JUDGED, kind_of

@@ -136,6 +136,10 @@ def tables_of(document: Mapping[str, Any]) -> list[Table]:
             _camera_views(document),
             _transform("T_camera_lidar", document["T_camera_lidar"], document["covariance"]),
         ]
+    if kind == "simulation-evaluation":
+        return [_simulated_cells(document)]
+    if kind == "mocap-evaluation":
+        return [_compared_scans(document)]
     return [_sizes(document)]
 
 
@@ -154,11 +158,44 @@ def _camera_views(document: Mapping[str, Any]) -> Table:
     return Table("Views, each predicted by the others", columns, tuple(rows))
 
 
+def _simulated_cells(document: Mapping[str, Any]) -> Table:
+    rows = []
+    for cell in document["cells"]:
+        counts = (cell["ok"], cell["doubtful"] + cell["ambiguous"], cell["failed"])
+        errors = (_mm_or_none(cell[f"e_t_m_{part}"]) for part in ("median", "p95"))
+        turns = (_number(cell[f"e_r_deg_{part}"]) for part in ("median", "p95"))
+        name = (cell["method"], cell["noise"], cell["orientation"], f"{cell['range_m']:g}")
+        rows.append((*name, *map(str, counts), *errors, *turns, _number(cell["nees_per_dof"])))
+    columns = ("method", "noise", "orientation", "range m", "ok", "not sure", "failed", "e_t mm", "95 %", "e_r deg",
+               "95 %", "NEES / dof")  # fmt: skip
+    return Table("Cells: medians, and the 95th percentiles", columns, tuple(rows))
+
+
+def _compared_scans(document: Mapping[str, Any]) -> Table:
+    prefixes = {"": "ours", "reference_": "reference", "published_": "paper"}
+    shown = [prefix for prefix in prefixes if any(row[f"{prefix}rmse_m"] is not None for row in document["scans"])]
+    rows = []
+    for row in document["scans"]:
+        errors = [
+            cell
+            for prefix in shown
+            for cell in (_mm_or_none(row[f"{prefix}rmse_m"]), _mm_or_none(row[f"{prefix}e_t_m"]),
+                         _number(row[f"{prefix}e_r_deg"]))
+        ]  # fmt: skip
+        rows.append((f"{row['session']}/{row['scan']}", f"{row['distance_m']:.2f}", str(row["n_points"]), *errors))
+    columns = [f"{prefixes[prefix]} {text}" for prefix in shown for text in ("RMSE mm", "e_t mm", "e_r deg")]
+    return Table(
+        "Scans, each in a frame fitted to the others of its session",
+        ("scan", "range m", "returns", *columns),
+        tuple(rows),
+    )
+
+
 def _sizes(document: Mapping[str, Any]) -> Table:
     rows = [
         (
             f"{one['area_m2']:.3f}", f"{one['bound_e_r_95_deg']:.2f}", _number(one["e_r_95_deg"]),
-            _mm(one["bound_e_t_95_m"]), "" if one["e_t_95_m"] is None else _mm(one["e_t_95_m"]),
+            _mm(one["bound_e_t_95_m"]), _mm_or_none(one["e_t_95_m"]),
             f"{one['ok']} / {one['ambiguous']} / {one['failed']}", "yes" if one["does_it"] else "no",
         )
         for one in [document["chosen"], *document["smaller"]]
@@ -267,6 +304,10 @@ def _mm(metres: float) -> str:
     return f"{1e3 * metres:.1f}"
 
 
+def _mm_or_none(metres: float | None) -> str:
+    return "" if metres is None else _mm(metres)
+
+
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.2f}"
 
@@ -278,4 +319,6 @@ TITLES = {
     "camera-calibration": "Calibration of a LiDAR to a camera",
     "map": "Map of targets",
     "design-choice": "Choice of a target",
+    "simulation-evaluation": "Estimates in simulation",
+    "mocap-evaluation": "Estimates beside motion capture",
 }

@@ -11,8 +11,10 @@ import pytest
 
 from optshape_graph.cli.main import cli
 
+Words = tuple[str, ...]
 
-def commands(group: click.Command = cli, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+
+def commands(group: click.Command = cli, words: Words = ()) -> Iterator[tuple[Words, click.Command]]:
     """Every command that is no group, with the words that lead to it."""
     if not isinstance(group, click.Group):
         yield words, group
@@ -28,7 +30,7 @@ ALL = dict(commands())
 
 
 @pytest.mark.parametrize("words", ALL, ids=" ".join)
-def test_help_ends_with_an_example_that_parses(words: tuple[str, ...]) -> None:
+def test_help_ends_with_an_example_that_parses(words: Words) -> None:
     command = ALL[words]
     text = command.get_help(click.Context(command, info_name=" ".join(words), terminal_width=200))
     _, found, example = text.partition("Example:\n")
