@@ -12,7 +12,7 @@ import click
 
 from optshape_graph.cli.console import SECONDS_BETWEEN, say, say_passed_over, terminal, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import FILE, POSITIVE, Number, force_option, outside_option, pool_options
+from optshape_graph.cli.options import FILE, POSITIVE, Number, example, force_option, outside_option, pool_options
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from optshape_graph.runs.workers import Pool
 
 
-@click.command()
+@click.command(
+    epilog=example("optshape map drive.bag --targets paper --sensor vlp32c --json map.json --tum trajectory.tum")
+)
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option("--targets", "--target", "target_names", multiple=True,
               help="Built-in name, NAME@AREA, or file; may be repeated. A session names its own.")  # fmt: skip
@@ -94,8 +96,6 @@ def command(
     Scans are placed by odometry, and by what they have in common with others; without odometry, by that alone. Scans
     that cannot be used are skipped with a reason and counted. The exit status is 3 if no target was mapped, or the map
     is not to be trusted for another reason, which is said.
-
-    Example: optshape map drive.bag --targets paper --sensor vlp32c --json map.json --tum trajectory.tum
     """
     from math import radians
 
