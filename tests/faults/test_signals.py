@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.calibration.session_support import write_session
 from tests.faults.harness import MANY, command, descendants, environment, gone, linux_only, started
 from tests.faults.inputs import make_inputs
 
@@ -39,6 +40,8 @@ RUNS = {
         "evaluate simulation --distance 4 --distance 8 --rpy 0 0 0 --noise 1 --seeds 24 --method global -o sweep",
         "sweep/scans.csv",
     ),
+    "calibrate mocap": ("calibrate mocap session.yaml --json a.json", "a.json"),
+    "calibrate camera": ("calibrate camera views/session.yaml --use-target-points --json a.json", "a.json"),
     "optimise": ("design optimise --starts 4 --sides 3 --rings 2 2 --area 0.5 -o shape.yaml", "shape.yaml"),
 }  # fmt: skip
 """A run of each command that goes on where it was stopped, and what it writes."""
@@ -70,6 +73,8 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_scan(folder / "drive" / f"{k:03d}.pcd", scan)
     (folder / "drive" / "timestamps.txt").write_text("".join(f"{k:.1f}\n" for k in range(12)))
     write_tum(folder / "drive" / "odometry.tum", Trajectory(np.array(poses), np.arange(12.0)))
+    (folder / "views").mkdir()
+    write_session(folder / "views")
     return folder
 
 
