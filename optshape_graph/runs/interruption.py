@@ -159,9 +159,9 @@ def _await_second(reader: int) -> None:
 def _end(number: int, frame: FrameType | None) -> None:
     """Say why, and end without a word more from anything that runs."""
     if first_to_say():
-        advice = ""
+        advice = _seen[0].advice if _seen else ""
         with suppress(Exception):
-            advice = _advices[-1]() if _advices else ""
+            advice = advice or (_advices[-1]() if _advices else "")
         with suppress(OSError):
             os.write(2, (shown(stopped_line(number, advice)) + "\n").encode(errors="backslashreplace"))
     os._exit(128 + number)
