@@ -125,7 +125,7 @@ def command(
         "files": fingerprint([*map(str, files), *filter(None, [odometry, sensor_name, *target_names])]),
     }  # fmt: skip
     with (
-        Journal(journal_of(json_file) if json_file else None, describe, None) as journal,
+        Journal(journal_of(json_file), describe, None) as journal,
         _shown() as report,
         going_on(lambda: journal.advice(f"{journal.finished} keyframes were looked at")),
     ):

@@ -87,9 +87,8 @@ def run_files(
         InputError: not one of the files can be read, or the output or its journal cannot be written.
     """
     what = {"form": form, "version": optshape_graph.__version__, **describe, "files": fingerprint(paths)}
-    journal_path = None if output is None else journal_of(output)
     with (
-        Journal(journal_path, what, len(paths)) as journal,
+        Journal(journal_of(output), what, len(paths)) as journal,
         going_on(lambda: journal.advice(f"{journal.finished} of {journal.count} files are done")),
     ):
         if progress is not None:

@@ -197,8 +197,10 @@ class Journal:
         return value
 
 
-def journal_of(output: Path) -> Path:
-    """Return the path of the journal of an output file: beside it."""
+def journal_of(output: Path | None) -> Path | None:
+    """Return the path of the journal of an output file: beside it; None where it is no file, as /dev/stdout is none."""
+    if output is None or (output.exists() and not output.is_file()):
+        return None
     return output.with_name(f"{output.name}.journal")
 
 

@@ -93,7 +93,7 @@ def keeping(output: Path | None) -> Iterator[Kept]:
         InputError: the journal is in use, another file, or cannot be written.
     """
     with (
-        Journal(None if output is None else journal_of(output), _ANY_RUN, None) as journal,
+        Journal(journal_of(output), _ANY_RUN, None) as journal,
         going_on(lambda: journal.advice(f"{journal.finished} scans and images were looked at")),
     ):
         yield Kept(journal)
