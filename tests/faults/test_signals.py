@@ -33,9 +33,9 @@ RUNS = {
         "estimate @many.txt --target target.yaml --sensor sensor.yaml --json a.json --workers 2", "a.json",
     ),
     "detect": ("detect @rooms.txt --target square@1 --sensor vlp16 --json a.json", "a.json"),
-    "map": ("map drive --targets square@1 --sensor vlp16 --odometry drive/odometry.tum --json a.json", "a.json"),
+    "map": ("map drive --targets square@1 --sensor vlp16 --odometry drive/odometry.tum --keyframe 0.05 1 --json a.json", "a.json"),
     "map on workers": (
-        "map drive --targets square@1 --sensor vlp16 --odometry drive/odometry.tum --json a.json --workers 2", "a.json",
+        "map drive --targets square@1 --sensor vlp16 --odometry drive/odometry.tum --keyframe 0.05 1 --json a.json --workers 2", "a.json",
     ),
     "evaluate": (
         "evaluate simulation --distance 4 --distance 8 --rpy 0 0 0 --noise 1 --seeds 24 --method global -o sweep",
