@@ -25,7 +25,7 @@ RUNS = {
     "detect": "detect room.pcd --target square@1 --sensor vlp16 --json out/a.json",
     "calibrate mocap": "calibrate mocap session.yaml --json out/a.json",
     "calibrate camera": "calibrate camera session.yaml --json out/a.json",
-    "design choose": "design choose --sensor vlp32c --range 6 --rotation 8 --translation .1 --shape paper -o out/a.yml",
+    "design choose": "design choose --sensor vlp32c --range 6 --rotation 8 --translation 0.1 -o out/a.yaml",
     "design measured": "design measured square --length 0-1=1001 --length 0-2=1415 -o out/a.yaml",
     "design optimise-poses": "design optimise-poses --sensor vlp32c --range 8 --placements 4 --starts 1 -o out/a.yaml",
     "design optimise": "design optimise --starts 1 --sides 3 --rings 1 2 --area 0.5 -o out/a.yaml",

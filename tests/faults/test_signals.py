@@ -27,16 +27,16 @@ pytestmark = linux_only
 
 SCANS, POSES = (40, 12) if MANY == 1 else (2000, 60)
 
+MAP = "map drive --targets square@1 --sensor vlp16 --odometry drive/odometry.tum --keyframe 0.05 1 --json a.json"
+
 RUNS = {
     "estimate": ("estimate @many.txt --target target.yaml --sensor sensor.yaml --json a.json", "a.json"),
     "estimate on workers": (
         "estimate @many.txt --target target.yaml --sensor sensor.yaml --json a.json --workers 2", "a.json",
     ),
     "detect": ("detect @rooms.txt --target square@1 --sensor vlp16 --json a.json", "a.json"),
-    "map": ("map drive --targets square@1 --sensor vlp16 --odometry drive/odometry.tum --keyframe 0.05 1 --json a.json", "a.json"),
-    "map on workers": (
-        "map drive --targets square@1 --sensor vlp16 --odometry drive/odometry.tum --keyframe 0.05 1 --json a.json --workers 2", "a.json",
-    ),
+    "map": (MAP, "a.json"),
+    "map on workers": (f"{MAP} --workers 2", "a.json"),
     "evaluate": (
         "evaluate simulation --distance 4 --distance 8 --rpy 0 0 0 --noise 1 --seeds 24 --method global -o sweep",
         "sweep/scans.csv",
