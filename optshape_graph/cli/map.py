@@ -124,11 +124,11 @@ def command(
         "keyframe": keyframe, "shapes": as_built is not None, "biases": batch and lag is None,
         "files": fingerprint([*map(str, files), *filter(None, [odometry, sensor_name, *target_names])]),
     }  # fmt: skip
-    kept = journal_of(json_file) if json_file else None
-    advice = (
-        f"what was seen is kept in {kept}; the same command goes on there" if kept else "--json keeps what was seen"
-    )
-    with Journal(kept, describe, None) as journal, _shown() as report, going_on(lambda: advice):
+    with (
+        Journal(journal_of(json_file), describe, None) as journal,
+        _shown() as report,
+        going_on(lambda: journal.advice(f"{journal.finished} keyframes were looked at")),
+    ):
         result = map_recording(
             opened,
             tuple(map(load_target, target_names)),

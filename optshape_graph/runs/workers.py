@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from optshape_graph.errors import InputError, OptshapeError, missing_extra
+from optshape_graph.runs.interruption import SIGNALS
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -173,7 +174,7 @@ class _Worker(Generic[T, R]):
         context = get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, self._function), daemon=True)
-        with _one_thread_for_children():
+        with _one_thread_for_children(), _signals_later():
             self._process.start()
         theirs.close()
 
@@ -235,10 +236,24 @@ def _one_thread_for_children() -> Iterator[None]:
                 os.environ[name] = value
 
 
+@contextmanager
+def _signals_later() -> Iterator[None]:
+    """Hold back signals, here and in processes that are started meanwhile: these take theirs when they have begun."""
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # it lets signals through when it is started
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
     """Do tasks until there are no more; end when the process that started this one has ended."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the parent decides
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    for number in SIGNALS:  # a terminal sends SIGINT to all, and the parent decides
+        signal.signal(number, signal.SIG_IGN if number == signal.SIGINT else signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
         pipe.send((True, None))  # all that the function needs is loaded
