@@ -6,7 +6,7 @@ moves on, stale summaries are made again, some after every few poses, or all of 
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,12 +15,13 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import Summary, summarise
 from optshape_graph.factors._rows import gaussian
+from optshape_graph.factors.static import ELEVATION
 from optshape_graph.graph.linear import LinearSystem
-from optshape_graph.graph.shared import gain, persistent
+from optshape_graph.graph.shared import Gain, gain, persistent
 from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.smoother import Smoother, joint_prior, root_of
 from optshape_graph.mapping.track import Match, Odometry, Start
@@ -178,16 +179,19 @@ class IncrementalGraph:
         keys = [*(self.landmarks[name].key for name in landmarks), *map(X, poses)]
         return persistent(system, keys, self._gains(system))
 
-    def _gains(self, system: LinearSystem) -> Iterator[tuple[list[tuple[Ints, Floats]], list[Hashable]]]:
-        """What the errors of rings add to the information vector, by match; all are taken for its own."""
+    def _gains(self, system: LinearSystem) -> Iterator[Gain]:
+        """What the errors of rings add to the information vector, by match: ranges its own, elevations exact."""
         for held in self._held:
             measurement = held.match.biased
             if measurement is not None:
-                G = gain(measurement, held.T_target_lidar, measurement.shared)
+                errors = measurement.shared
+                exact = [error for error in errors if error.kind == ELEVATION]  # as `one_scan` has them
+                G = gain(measurement, held.T_target_lidar, errors, exact)
                 target, lidar = self.landmarks[held.match.landmark].key, X(held.match.pose)
                 by_target = -adjoint(inverse(held.T_target_lidar)).T @ G
                 blocks = [(system.index([target]), by_target), (system.index([lidar]), G)]
-                yield blocks, [(held.match.sighting.lidar, error) for error in measurement.shared]
+                names = [(held.match.sighting.lidar, error) for error in errors]
+                yield Gain(blocks, names, [error not in exact for error in errors])
 
     def map(self) -> Map:
         """Return the landmarks."""
