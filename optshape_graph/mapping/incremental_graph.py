@@ -146,23 +146,26 @@ class IncrementalGraph:
                 raise InputError(f"pose {pose} is not in the graph")
         keys = [self.landmarks[name].key for name in landmarks]
         pending = self._pending
-        if pending is None or pending.pose not in poses:
-            return self._smoother.covariance([*keys, *map(X, poses)])
-        if pending.odometry is None:
-            raise InputError(f"pose {pending.pose} is linked to nothing yet")
-        # X' = X D moves by Ad(D^-1) xi + the error of D.
-        before = [pending.odometry.i if pose == pending.pose else pose for pose in poses]
+        # X' = X D moves by Ad(D^-1) xi + the error of D; a pose may be asked for twice.
+        before = list(poses)
+        if pending is not None and pending.pose in poses:
+            if pending.odometry is None:
+                raise InputError(f"pose {pending.pose} is linked to nothing yet")
+            before = [pending.odometry.i if pose == pending.pose else pose for pose in poses]
         distinct = list(dict.fromkeys(before))
         joint = self._smoother.covariance([*keys, *map(X, distinct)])
+        if distinct == list(poses):
+            return joint
         J = np.zeros((6 * (len(keys) + len(poses)), len(joint)))
         J[: 6 * len(keys), : 6 * len(keys)] = np.eye(6 * len(keys))
-        added = np.zeros((len(J), len(J)))
+        E = np.zeros((len(J), 6))  # by the error of D
         for n, (pose, known) in enumerate(zip(poses, before, strict=True), len(keys)):
             rows, columns = slice(6 * n, 6 * n + 6), 6 * (len(keys) + distinct.index(known))
-            D = pending.odometry.T_i_j if pose == pending.pose else np.eye(4)
+            D = np.eye(4)
+            if pending is not None and pending.odometry is not None and pose == pending.pose:
+                D, E[rows] = pending.odometry.T_i_j, np.eye(6)
             J[rows, columns : columns + 6] = adjoint(inverse(D))
-            if pose == pending.pose:
-                added[rows, rows] = pending.odometry.covariance
+        added = E @ pending.odometry.covariance @ E.T if pending is not None and pending.odometry is not None else 0.0
         return np.asarray(J @ joint @ J.T + added)
 
     def covariance_with_biases(self, landmarks: Sequence[str] = (), poses: Sequence[int] = ()) -> Floats:
