@@ -77,7 +77,7 @@ def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Fin
 
     # The likeliest set and the plane in one measurement, at its minimum.
     seen = as_seen(_with_biases(returns, scan), off_plane)
-    shared = _outline_measurement(best, plane) + plane_measurement(seen)
+    shared = _outline_measurement(best, plane) + plane_measurement(seen.with_brightness(plane.axes[0], scan.sensor))
     exact = shared.marginal(1.0)
     T_target_lidar = refine(exact.at(poses[0]))
     shared = displaced(shared, shape, off_plane, target, T_target_lidar)
@@ -205,8 +205,10 @@ class Beam:
     def of(cls, scan: Scan, options: PoseOptions) -> Beam:
         """Take the sensor's beam at the returns' median range."""
         noise = EdgeNoise.of(scan.sensor, options)
-        width = float(np.median(noise.width(np.linalg.norm(scan.points, axis=1))))
-        return cls(float(np.hypot(options.flatness, noise.OWN * width)), noise.COMMON * width, options.strays)
+        distance = float(np.median(np.linalg.norm(scan.points, axis=1)))
+        width = float(noise.width(np.array(distance)))
+        offset = float(np.hypot(noise.COMMON * width, noise.blooming * distance))
+        return cls(float(np.hypot(options.flatness, noise.OWN * width)), offset, options.strays)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

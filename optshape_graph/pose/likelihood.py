@@ -289,19 +289,19 @@ def scan_log_likelihood(problem: Problem, scan: Scan, ends: EdgePoints) -> LogDe
     Returns:
         A function of T_lidar_target (S, 4, 4) and of the offset across the edges (S,), in beam widths.
     """
-    noise, form = problem.noise, problem.plane
+    noise, form, common = problem.noise, problem.plane, problem.offset_of_rays
     rays: Firings | Rays
     if noise.ideal and not ends.scatter.any():
         rays = Firings.of(ends, scan, noise.options)
     else:
         ranges = np.linalg.norm(ends.points[::2], axis=1)
         beam, extent = noise.width(ranges) / ranges, 2 * problem.target.circumradius
-        rays = Rays.of(scan, ends, beam, extent, noise.options.odd_ends, share_lost(ends))
+        rays = Rays.of(scan, ends, beam, extent, noise.odd_ends, share_lost(ends))
 
     def log_likelihood(T_lidar_target: Floats, offset: Floats) -> Floats:
         z = vec(inverse(T_lidar_target))
         on_plane = -0.5 * (((z @ form[:12, :12] + 2 * form[12, :12]) * z).sum(axis=-1) + form[12, 12])
         corners = apply(T_lidar_target, problem.target.vertices)
-        return np.asarray(on_plane - 0.5 * (offset / noise.COMMON) ** 2 + rays.log_likelihood(corners, offset))
+        return np.asarray(on_plane - 0.5 * (offset / common) ** 2 + rays.log_likelihood(corners, offset))
 
     return log_likelihood

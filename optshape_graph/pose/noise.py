@@ -10,7 +10,7 @@ import numpy as np
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.edges import upward
 from optshape_graph.factors.measurement import TemplateMeasurement, template_rows
-from optshape_graph.factors.static import ELEVATION, RANGE_BIAS, BiasedMeasurement, SharedError
+from optshape_graph.factors.static import BRIGHTNESS, ELEVATION, RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
@@ -28,11 +28,15 @@ class EdgeNoise:
         divergence: full angle of the beam, rad.
         aperture: width of the beam where it leaves the sensor, metres.
         options: of them the target's flatness, and which ring ends are lost.
+        blooming: standard deviation of the azimuth by which a scan's rings reach further on each side, rad.
+        odd_ends: share of ring ends that are strays or have a few returns lost beyond them.
     """
 
     divergence: float
     aperture: float
     options: PoseOptions
+    blooming: float = 0.0
+    odd_ends: float = SensorModel.odd_ends
 
     COMMON = 1 / np.sqrt(12)
     """Standard deviation of the offset that all edge points of a scan share, in beam widths."""
@@ -43,8 +47,9 @@ class EdgeNoise:
     @classmethod
     def of(cls, sensor: SensorModel | None, options: PoseOptions = PoseOptions()) -> EdgeNoise:
         """Take the beam of a sensor; an unknown one has a beam of 3 mrad, a centimetre wide at first."""
-        beam = (sensor.beam_divergence, sensor.beam_aperture) if sensor else (3e-3, 0.01)
-        return cls(*beam, options)
+        if sensor is None:
+            return cls(3e-3, 0.01, options)
+        return cls(sensor.beam_divergence, sensor.beam_aperture, options, sensor.blooming, sensor.odd_ends)
 
     @property
     def ideal(self) -> bool:
@@ -142,6 +147,18 @@ class PlaneReturns(Value):
         moved[np.arange(len(ring)), column] = sigma * (upward(self.points) @ normal) / self.sigma
         errors = (*self.errors, *(SharedError(ELEVATION, ring=int(k)) for k in rings))
         return replace(self, errors=errors, bias=np.hstack([self.bias, moved]))
+
+    def with_brightness(self, normal: Floats, sensor: SensorModel | None) -> PlaneReturns:
+        """Return them with a range bias that all share; of an unknown sensor there is none.
+
+        Args:
+            normal: (3,) unit normal of the plane, LiDAR frame.
+            sensor: whose file says how large.
+        """
+        bias = sensor.brightness_bias if sensor else 0.0
+        moved = bias * np.abs(self.points @ normal) / np.linalg.norm(self.points, axis=1) / self.sigma
+        errors = (*self.errors, SharedError(BRIGHTNESS))
+        return replace(self, errors=errors, bias=np.column_stack([self.bias, moved]))
 
     def widened(self, noise: float, bias: float) -> PlaneReturns:
         """Return them with noise and biases that are so many times as large."""

@@ -28,11 +28,12 @@ _REWEIGHTINGS = 5
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ends(Value):
-    """Ring ends against the edges, after the pose in the plane and their common offset were fitted to them robustly.
+    """Ring ends against the edges, after the pose in the plane, their common offset and blooming were fitted.
 
     Attributes:
         z: (M,) residuals in standard deviations, positive outside.
         offset: common offset across the edges in standard deviations of its prior, positive: returns lie further in.
+        blooming: how much further the rings reach, in standard deviations of its prior.
         freedom: degrees of freedom: of the pose in the plane are three, the offset has its prior.
         strain: stretch of the outline at constant area that the ends ask for beside the pose, relative.
         strain_probability: of so much by chance.
@@ -40,14 +41,15 @@ class Ends(Value):
 
     z: Floats
     offset: float
+    blooming: float
     freedom: int
     strain: float
     strain_probability: float
 
     @property
     def chi_square(self) -> float:
-        """Sum of the squares of all residuals and of the offset."""
-        return float(self.z @ self.z) + self.offset**2
+        """Sum of the squares of all residuals, of the offset and of the blooming."""
+        return float(self.z @ self.z) + self.offset**2 + self.blooming**2
 
     @property
     def clipped_mean_square(self) -> float:
@@ -107,16 +109,17 @@ def fit_ends(problem: Problem, T_target_lidar: Floats, labels: Ints) -> Ends:
     pose = [ny, nz, (nz * y - ny * z) / target.circumradius]
     strains = strain_columns(target, labels, boundary, T_target_lidar)
     residual = g.residual[0] + along * edges.middle
-    rows = np.column_stack([*pose, across * problem.noise.COMMON, strains, residual]) / sd[:, None]
-    prior = np.diag([1e-6, 1e-6, 1e-6, 1.0])
+    common = [across * problem.noise.COMMON, -along * problem.blooming[:, 0]]
+    rows = np.column_stack([*pose, *common, strains, residual]) / sd[:, None]
+    prior = np.diag([1e-6, 1e-6, 1e-6, 1.0, 1.0])
     weight = np.ones(len(rows))
     for _ in range(_REWEIGHTINGS):
-        A = weight[:, None] * rows[:, :4]
-        x = -np.linalg.solve(A.T @ rows[:, :4] + prior, A.T @ rows[:, 6])
-        residual = rows[:, :4] @ x + rows[:, 6]
+        A = weight[:, None] * rows[:, :5]
+        x = -np.linalg.solve(A.T @ rows[:, :5] + prior, A.T @ rows[:, 7])
+        residual = rows[:, :5] @ x + rows[:, 7]
         weight = 1.0 / np.maximum(np.abs(residual) / _HUBER, 1.0)
     strain, probability = _strain(np.sqrt(weight)[:, None] * rows)
-    return Ends(residual, float(x[3]), max(len(residual) - 3, 0), strain, probability)
+    return Ends(residual, float(x[3]), float(x[4]), max(len(residual) - 3, 0), strain, probability)
 
 
 def strain_columns(target: Target, labels: Ints, points: Floats, T_target_lidar: Floats) -> Floats:
@@ -127,13 +130,13 @@ def strain_columns(target: Target, labels: Ints, points: Floats, T_target_lidar:
 
 
 def _strain(rows: Floats) -> tuple[float, float]:
-    """Size of the two strains in whitened rows (M, 7), and the F test of whether they are there."""
-    R = triangular(np.vstack([rows, np.eye(7)[3:4]]))  # the offset's prior
-    freedom = len(rows) + 1 - 6
-    if freedom < 3 or np.abs(np.diag(R)[:6]).min() < 1e-6 * np.abs(np.diag(R)[:6]).max():
+    """Size of the two strains in whitened rows (M, 8), and the F test of whether they are there."""
+    R = triangular(np.vstack([rows, np.eye(8)[3:5]]))  # the priors of offset and blooming
+    freedom = len(rows) + 2 - 7
+    if freedom < 3 or np.abs(np.diag(R)[:7]).min() < 1e-6 * np.abs(np.diag(R)[:7]).max():
         return 0.0, 1.0
-    x = np.linalg.solve(R[4:6, 4:6], R[4:6, 6])
-    F = float((R[4:6, 6] ** 2).sum()) / 2 / max(float(R[6, 6] ** 2) / freedom, 1.0)
+    x = np.linalg.solve(R[5:7, 5:7], R[5:7, 7])
+    F = float((R[5:7, 7] ** 2).sum()) / 2 / max(float(R[7, 7] ** 2) / freedom, 1.0)
     return float(np.hypot(*x)), f_tail(F, 2, freedom)
 
 
@@ -160,7 +163,7 @@ class Coverage(Value):
     cut: int
 
 
-def coverage(scan: Scan, problem: Problem, T_target_lidar: Floats, angular_noise: float) -> Coverage:
+def coverage(scan: Scan, problem: Problem, T_target_lidar: Floats, angular_noise: float, further: float) -> Coverage:
     """Count returns outside the outline, and firings that are missing inside.
 
     Args:
@@ -168,16 +171,17 @@ def coverage(scan: Scan, problem: Problem, T_target_lidar: Floats, angular_noise
         problem: both ends of each ring, the template, and the beam.
         T_target_lidar: (4, 4).
         angular_noise: standard deviation of one azimuth, rad.
+        further: azimuth by which the rings are seen to reach further, by blooming, rad.
     """
     assert scan.ring is not None
     edges, target = problem.edges, problem.target
     ranges = np.linalg.norm(scan.points, axis=1)
-    step, outside = edges.azimuth_step, outside_beams(scan, problem, T_target_lidar, angular_noise)
+    step, outside = edges.azimuth_step, outside_beams(scan, problem, T_target_lidar, angular_noise, further)
     first = edges.points[::2]
     elevation = np.arctan2(first[:, 2], np.hypot(first[:, 0], first[:, 1]))
     sides = sight_planes((target.vertices - T_target_lidar[:3, 3])[None] @ T_target_lidar[:3, :3])
     right, left = (ends[0] for ends in chords(sides, elevation, edges.reference_azimuth))
-    slack = step + float(np.median(_reach(problem, ranges, angular_noise) / ranges))
+    slack = step + float(np.median(_reach(problem, ranges, angular_noise, further) / ranges))
     beyond_left, beyond_right = left - edges.azimuth[::2], edges.azimuth[1::2] - right
     azimuth, _ = relative_azimuth(scan.points)
     order = np.lexsort((azimuth, scan.ring))
@@ -201,15 +205,17 @@ def coverage(scan: Scan, problem: Problem, T_target_lidar: Floats, angular_noise
     )
 
 
-def outside_beams(scan: Scan, problem: Problem, T_target_lidar: Floats, angular_noise: float) -> Floats:
+def outside_beams(
+    scan: Scan, problem: Problem, T_target_lidar: Floats, angular_noise: float, further: float = 0.0
+) -> Floats:
     """(N,) how far returns lie outside the outline, in beam widths; negative inside. Arguments as of `coverage`."""
     beyond = problem.target.outside_distance(in_plane(scan.points, T_target_lidar))
-    return np.asarray(beyond / _reach(problem, np.linalg.norm(scan.points, axis=1), angular_noise))
+    return np.asarray(beyond / _reach(problem, np.linalg.norm(scan.points, axis=1), angular_noise, further))
 
 
-def _reach(problem: Problem, ranges: Floats, angular_noise: float) -> Floats:
-    """(N,) how far outside returns at ranges (N,) may lie, metres: a beam, and three standard deviations."""
-    return np.asarray(np.maximum(problem.noise.width(ranges), NARROWEST) + 3 * angular_noise * ranges)
+def _reach(problem: Problem, ranges: Floats, angular_noise: float, further: float) -> Floats:
+    """(N,) how far outside returns at ranges (N,) may lie, metres: a beam, blooming, and three standard deviations."""
+    return np.asarray(np.maximum(problem.noise.width(ranges), NARROWEST) + (3 * angular_noise + further) * ranges)
 
 
 NARROWEST = 5e-3

@@ -9,7 +9,8 @@ and a weighted least-squares problem with that solution: each edge point has an 
 a standard deviation.
 
 Unknowns: a right perturbation of T_target_lidar (6), the offset across the edges that all edge points of a scan share
-(1), and where azimuths are noisy, the shift along each ring that both its ends share. Several candidate poses are
+(1), how much further along the rings a bright target reaches (1), and where azimuths are noisy, the shift along each
+ring that both its ends share. Several candidate poses are
 worked on at once.
 """
 
@@ -23,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value
-from optshape_graph.edges import EdgePoints
+from optshape_graph.edges import UP, EdgePoints
 from optshape_graph.gaussian import log_ndtr
 from optshape_graph.pose.noise import EdgeNoise, outermost_return
 from optshape_graph.se3 import exp, vec, vec_derivative
@@ -63,6 +64,18 @@ class Problem(Value):
         edges = self.edges
         noisy = np.unique(edges.ring[edges.shift > 0])
         return np.asarray((edges.ring[:, None] == noisy) * (edges.side * edges.shift)[:, None])
+
+    @cached_property
+    def blooming(self) -> Floats:
+        """(M, 1) outward motion, rad, of each ring end for a standard deviation of the blooming that all share."""
+        return np.where(np.abs(self.edges.side) < UP, self.noise.blooming, 0.0)[:, None]
+
+    @cached_property
+    def offset_of_rays(self) -> float:
+        """Standard deviation of the offset that rays share, in beam widths: it stands for blooming too."""
+        ranges = np.linalg.norm(self.edges.points, axis=1)
+        beam = float(np.mean(self.noise.width(ranges) / ranges))
+        return float(np.hypot(self.noise.COMMON, self.noise.blooming / beam))
 
     @cached_property
     def intervals(self) -> Floats:
@@ -110,7 +123,7 @@ class Posterior(Value):
         offset: (C,) common offset across the edges, in units of the beam's width; positive: the returns lie further in.
         geometry: edge points at these poses.
         inset: (C, M) distance along the ring from each edge point to the boundary, rad, offset and shift apart.
-        shift: (C, M) outward motion of each edge point with its ring, where azimuths are noisy, rad.
+        shift: (C, M) outward motion of each edge point with its ring, where azimuths are noisy, and by blooming, rad.
         sigma: (C, M) standard deviation across the edge, metres, that stands for each interval.
         log_likelihood: (C,) logarithm of the probability of the edge points, and of what else of the scan was taken
             into account, up to a constant of the scan.
@@ -314,7 +327,7 @@ def _sweep(
 ) -> tuple[Floats, Posterior]:
     """Update all edge points at fixed linearisation; the step of the poses' means, and the posteriors."""
     points, m = problem.edges.points, geometry.direction @ T[:, :3, :3]
-    s, by_shift = geometry.along, problem.ring_shifts
+    s, by_shift = geometry.along, np.hstack([problem.blooming, problem.ring_shifts])
     columns = [np.cross(points, m), m, geometry.across[..., None], s[..., None] * by_shift]
     J = np.concatenate(columns, axis=-1)
     r = geometry.residual + offset[:, None] * geometry.across

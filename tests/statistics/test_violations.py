@@ -36,6 +36,8 @@ def by_caster(target: Target, sensor: SensorModel, T: np.ndarray, rng: np.random
         azimuth_jitter=np.radians(0.02),
         range_noise=sensor.range_noise * rng.uniform(0.5, 2.0),
         ring_bias=sensor.ring_bias,
+        brightness=sensor.brightness_bias * rng.normal(),
+        glow=rng.uniform(0.0, 0.1),
     )
     full, own = cast(target, sensor, T, receiver, rng, wall)
     return full.select(np.flatnonzero(own))
