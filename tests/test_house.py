@@ -60,13 +60,22 @@ def test_factors_know_nothing_but_the_nouns() -> None:
             assert len(parts) < 2 or parts[1] == "factors" or parts[1] not in LAYERS, f"{path.name} imports {name}"
 
 
-def test_pose_has_no_circles() -> None:
+def arrows_of_pose() -> dict[str, set[str]]:
+    """Each module of `pose`, and the others there that it imports."""
     pose = "optshape_graph.pose."
-    files = {path.stem: path for path in (PACKAGE / "pose").glob("*.py") if path.stem != "__init__"}
-    below = {
+    files = {path.stem: path for path in (PACKAGE / "pose").rglob("*.py") if path.stem != "__init__"}
+    return {
         name: {found.removeprefix(pose) for found in imported(path) if found.startswith(pose)}
         for name, path in files.items()
     }
+
+
+def test_pose_has_few_arrows() -> None:
+    assert sum(map(len, arrows_of_pose().values())) <= 28
+
+
+def test_pose_has_no_circles() -> None:
+    below = arrows_of_pose()
     while below:
         ground = {name for name, others in below.items() if not others & below.keys()}
         assert ground, f"a circle among {sorted(below)}"

@@ -255,6 +255,14 @@ class BiasedMeasurement(Value):
         R = triangular(np.vstack([np.eye(k, k + 13), unit]))
         return TemplateMeasurement.from_stack(R[k:, k:], self.n_rows, self.T_target_lidar)
 
+    def of_one_scan(self) -> TemplateMeasurement:
+        """Return the measurement of one scan alone: the elevations of its rings count as exact.
+
+        What an error of theirs does to one scan is within what its ring ends scatter; of many it would be the mean's
+        error.
+        """
+        return self.marginal([float(error.kind != ELEVATION) for error in self.shared])
+
 
 def fuse_static(measurements: Sequence[BiasedMeasurement], sigma: ArrayLike) -> TemplateMeasurement:
     """Fuse scans of one static scene: one target, one LiDAR, neither of which moved.

@@ -11,14 +11,14 @@ from scipy.stats import chi2
 
 from optshape_graph import EstimationError, Scan, Target
 from optshape_graph.io import load_target
-from optshape_graph.pose import estimate_pose
-from optshape_graph.pose.containment import Beam, containing_poses
+from optshape_graph.pose import PoseOptions, estimate_pose
+from optshape_graph.pose.containment import Slack, containing_poses
 from optshape_graph.simulation import pose_from_rpy
 from tests.pose.clouds import errors, recorded_cases
 from tests.pose.rosettes import rosette
 from tests.shared import needs_shared
 
-FINE = Beam(1e-3, 1e-3)
+FINE = Slack(1e-3, 1e-3, PoseOptions.strays)
 
 
 def inside(target: Target, count: int, seed: int) -> np.ndarray:

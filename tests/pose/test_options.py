@@ -10,7 +10,7 @@ from optshape_graph import EstimationError, InputError, Scan
 from optshape_graph.edges import extract_edge_points
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import PoseOptions, certify, estimate_pose
-from optshape_graph.pose.likelihood import Firings
+from optshape_graph.pose.firings import Firings
 from optshape_graph.se3 import inverse
 from optshape_graph.simulation import IDEAL, pose_from_rpy, simulate_target
 from tests.pose.clouds import errors, simulated
@@ -78,7 +78,10 @@ def test_lost_ends_of_rays() -> None:
     scan = simulate_target(PAPER, EXACT, T, noise=IDEAL)
     corners = (PAPER.vertices @ T[:3, :3].T + T[:3, 3])[None]
     for share in (0.02, 0.2):
-        exact = Firings.of(extract_edge_points(scan), scan, PoseOptions(lost_ends_of_rays=share))
+        options = PoseOptions(lost_ends_of_rays=share)
+        exact = Firings.of(
+            scan, extract_edge_points(scan), options.flatness, options.lost_ends_of_rays, options.lost_span
+        )
         lost = replace(exact, left=exact.left - np.eye(len(exact.left))[0])
         price = exact.log_likelihood(corners)[0] - lost.log_likelihood(corners)[0]
         assert price == pytest.approx(np.log((1 - share + share / 4) / (share / 4)), abs=0.01)
