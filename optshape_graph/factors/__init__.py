@@ -37,7 +37,14 @@ from optshape_graph.factors.sensor_parameters import (
     plane_motion_rows,
     range_directions,
 )
-from optshape_graph.factors.measurement import Measured, TemplateMeasurement, edge_rows, plane_rows, refine, template_rows
+from optshape_graph.factors.measurement import (
+    Measured,
+    TemplateMeasurement,
+    edge_rows,
+    plane_rows,
+    refine,
+    template_rows,
+)
 from optshape_graph.se3 import inverse_covariance
 from optshape_graph.factors.shape import (
     FreeVertexFactor,
@@ -48,6 +55,8 @@ from optshape_graph.factors.shape import (
     shape_rows,
 )
 from optshape_graph.factors.static import (
+    BLOOMING,
+    BRIGHTNESS,
     EDGE_OFFSET,
     ELEVATION,
     RANGE_BIAS,
@@ -65,6 +74,8 @@ from optshape_graph.factors.template import (
 )
 
 __all__ = [
+    "BLOOMING",
+    "BRIGHTNESS",
     "EDGE_OFFSET",
     "ELEVATION",
     "RANGE_BIAS",

@@ -60,6 +60,9 @@ RANGE_BIAS, ELEVATION, EDGE_OFFSET, OUTER_EDGE = "range bias", "elevation", "edg
 """Kinds of errors of the sensor that the pose estimator knows: of ranges; of rings' elevations; of how far in the
 returns at all edges lie; and of where between two rings the target ends."""
 
+BRIGHTNESS, BLOOMING = "range bias by brightness", "blooming"
+"""Kinds of errors that a surface's brightness makes: of all its ranges; and of how much further its rings reach."""
+
 SURFACE = ("surface turned about y", "surface turned about z", "surface shifted along x")
 STRAIN = ("aspect", "shear")
 """Kinds of errors that are the target's own, in all scans of it: that its surface is not the plane x = 0 of its frame,
@@ -195,7 +198,9 @@ class BiasedMeasurement(Value):
         R = triangular_by_parts(np.vstack([np.eye(g, k + 13), ordered]), k)
         return BiasedMeasurement(R[g:, g:], self.n_rows, self.T_target_lidar, tuple(self.shared[i] for i in kept))
 
-    def displaced(self, errors: Sequence[SharedError], effect: ArrayLike, T_target_lidar: ArrayLike) -> BiasedMeasurement:
+    def displaced(
+        self, errors: Sequence[SharedError], effect: ArrayLike, T_target_lidar: ArrayLike
+    ) -> BiasedMeasurement:
         """Return the measurement where further errors displace the pose, as a whole, in all scans alike.
 
         The minimum stays where it is; the covariance of the pose grows by effect effect^T, however many scans are fused.
