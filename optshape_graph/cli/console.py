@@ -82,7 +82,7 @@ def print_table(
         table.add_column(cell(column), justify="right" if k else "left", overflow="fold", no_wrap=bool(k))
     for row in rows:
         table.add_row(*map(cell, row))
-    console = Console(markup=False, highlight=False, stderr=err)
+    console = Console(markup=False, emoji=False, highlight=False, stderr=err)
     if not console.is_terminal:
         console.width = _FILE_WIDTH
     console.print(table)

@@ -79,8 +79,8 @@ def test_a_disc_like_target_may_be_turned_anyhow() -> None:
 
 
 def nees(estimate: object, T: np.ndarray) -> float:
-    xi = gtsam.Pose3.Logmap(gtsam.Pose3(estimate.T_target_lidar @ T))  # type: ignore[attr-defined]
-    return float(xi @ np.linalg.solve(estimate.covariance, xi))  # type: ignore[attr-defined]
+    xi = gtsam.Pose3.Logmap(gtsam.Pose3(estimate.T_target_lidar @ T))
+    return float(xi @ np.linalg.solve(estimate.covariance, xi))
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_covariance_is_consistent(name: str, distance: float, shots: int) -> Non
 
 def equivalents(target: object, T: np.ndarray) -> list[np.ndarray]:
     turned = []
-    for S in target.symmetry_transforms[:, :3, :3]:  # type: ignore[attr-defined]
+    for S in target.symmetry_transforms[:, :3, :3]:
         other = T.copy()
         other[:3, :3] = T[:3, :3] @ S
         turned.append(other)

@@ -126,7 +126,7 @@ def test_ambiguity_margin() -> None:
 
 
 def _margin(scan: Scan, **changed: float) -> float:
-    return estimate_pose(scan, PAPER, options=PoseOptions(**changed)).ambiguity.margin  # type: ignore[arg-type]
+    return estimate_pose(scan, PAPER, options=PoseOptions(**changed)).ambiguity.margin
 
 
 def test_unobservable_sd() -> None:
@@ -161,17 +161,17 @@ def test_certified_gap() -> None:
 )
 def test_bad_options_are_refused(values: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        PoseOptions(**values)  # type: ignore[arg-type]
+        PoseOptions(**values)
 
 
 def test_methods_and_backends_that_do_not_exist_are_refused() -> None:
     scan, _ = simulated(6.0, seed=5)
     with pytest.raises(InputError, match="method is 'best'; expected one of 'global', 'paper'"):
-        estimate_pose(scan, PAPER, method="best")  # type: ignore[arg-type]
+        estimate_pose(scan, PAPER, method="best")
     with pytest.raises(InputError, match="backend is 'mosek'; expected one of 'closed-form', 'clarabel', 'cvxpy'"):
-        estimate_pose(scan, PAPER, backend="mosek")  # type: ignore[arg-type]
+        estimate_pose(scan, PAPER, backend="mosek")
     with pytest.raises(InputError, match="backend is 'mosek'"):
-        certify(estimate_pose(scan, PAPER).measurement, np.eye(4), 1.0, "mosek")  # type: ignore[arg-type]
+        certify(estimate_pose(scan, PAPER).measurement, np.eye(4), 1.0, "mosek")
 
 
 def test_largest_sds() -> None:
