@@ -293,6 +293,8 @@ def _on_cluster(
         from distributed import Client, KilledWorker, Security, as_completed
     except ImportError as cause:
         raise missing_extra("distributed", "dask", cause) from cause
+    if tls is not None:
+        _check_certificates(*tls)
     _check_reachable(address)
     security: dict[str, Any] = {}
     if tls is not None:
@@ -327,6 +329,27 @@ def _on_cluster(
                 raise failure
             else:
                 yield number, future.result()
+
+
+def _check_certificates(authority: Path, certificate: Path, key: Path) -> None:
+    """Read the files for TLS, so that an error names the one that is wrong.
+
+    Raises:
+        InputError: they are no certificates and key in PEM, the key is another's, or a password locks it.
+    """
+    import ssl
+
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    try:
+        context.load_verify_locations(authority)
+    except OSError as error:
+        raise InputError(f"{authority}: expected the certificate of an authority, in PEM ({error})") from error
+    try:
+        context.load_cert_chain(certificate, key, password="")  # else it is asked for, on the terminal
+    except OSError as error:
+        raise InputError(
+            f"{certificate}, {key}: expected a certificate and its own key without password, in PEM ({error})"
+        ) from error
 
 
 def _check_reachable(address: str) -> None:
