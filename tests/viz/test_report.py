@@ -65,8 +65,8 @@ NOTHING = {
 }
 COMPARED = {
     "schema": "optshape/mocap-evaluation/1", "mean": MOCAP["mean"], "reference_mean": None, "left_out": [],
-    "scans": [{"session": "s", "scan": f"{k}.pcd", "distance_m": 5.0, "n_points": 99, "rmse_m": 0.05 if k == 3 else 0.01,
-               "e_t_m": 0.005, "e_r_deg": 0.5, **NOTHING} for k in range(6)],
+    "scans": [{"session": "s", "scan": f"{k}.pcd", "distance_m": 5.0, "n_points": 99,
+               "rmse_m": 0.05 if k == 3 else 0.01, "e_t_m": 0.005, "e_r_deg": 0.5, **NOTHING} for k in range(6)],
 }  # fmt: skip
 
 
@@ -144,8 +144,8 @@ def test_a_doubtful_one_says_what_to_do():
 
 def test_an_evaluation_says_where_it_fails():
     assert verdict_of(SWEEP).line == (
-        "Usable with care: 16 of 20 scans of 'paper' end ok; normalised errors squared are 1.00 per degree of freedom, 1 "
-        "where covariances are right; at 40 m, face, 6 of 10 are ok: a larger target, or a nearer place"
+        "Usable with care: 16 of 20 scans of 'paper' end ok; normalised errors squared are 1.00 per degree of freedom, "
+        "1 where covariances are right; at 40 m, face, 6 of 10 are ok: a larger target, or a nearer place"
     )
     turned = {**SWEEP, "cells": [{**CELL, "worst_ok_e_r_deg": 170.0}]}
     assert verdict_of(turned).level == "Not usable"
