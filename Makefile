@@ -59,7 +59,7 @@ coverage: setup-test
 	$(BIN)/python -m pytest -n $(JOBS) -m "not benchmark" --cov --cov-report=term:skip-covered
 
 docs: setup-docs
-	PYTHONPATH=docs $(BIN)/python -m zensical build --strict
+	PYTHONPATH=docs $(BIN)/python -m zensical build --clean --strict
 
 release-check: setup-test
 	rm -rf build/dist

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import json
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any
 
 import click
@@ -23,7 +27,8 @@ class FromPackage(Preprocessor):
         """Return the lines of a page, its marks replaced."""
         found: list[str] = []
         for line in lines:
-            made = MARKS[line]() if line in MARKS else [line]
+            mark = re.fullmatch(r"<!-- (\w+)(?: ([\w.]+))? -->", line)
+            made = MARKS[mark[1]](*filter(None, [mark[2]])) if mark else [line]
             found += [part for text in made for part in text.split("\n")]
         return found
 
@@ -119,5 +124,31 @@ def described(node: dict[str, Any], schema: dict[str, Any]) -> str:
     return " ".join(dict.fromkeys(text for text in said if text)).replace("|", "\\|")
 
 
-MARKS = {"<!-- commands -->": all_commands, "<!-- schemas -->": schema_sections}
-"""Lines that are replaced, and by what."""
+def public_names(package: str) -> Iterator[str]:
+    """Yield the rows of a table: what a package's `__all__` names, or else what its modules define, in a line each."""
+    yield "| name | |\n|---|---|"
+    module = import_module(package)
+    if hasattr(module, "__all__"):
+        found = [(f"{package}.{name}", name, getattr(module, name)) for name in module.__all__]
+    else:
+        inner = (import_module(f"{package}.{info.name}") for info in iter_modules(module.__path__))
+        found = [
+            (f"{one.__name__}.{name}", f"{one.__name__.removeprefix(package + '.')}.{name}", value)
+            for one in inner
+            for name, value in vars(one).items()
+            if not name.startswith("_") and getattr(value, "__module__", "") == one.__name__
+        ]
+    for path, name, value in found:
+        if inspect.isclass(value) or inspect.isroutine(value):
+            first = (inspect.getdoc(value) or "").partition("\n")[0]
+            shown = first.replace("|", "\\|")
+            yield f"| [`{name}`][{path}] | {shown} |"
+    yield ""
+
+
+MARKS: dict[str, Callable[..., Iterator[str]]] = {
+    "commands": all_commands,
+    "schemas": schema_sections,
+    "names": public_names,
+}
+"""What makes the lines that stand for `<!-- MARK ARGUMENT -->`."""
