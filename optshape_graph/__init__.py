@@ -10,9 +10,6 @@ from typing import TYPE_CHECKING
 
 from optshape_graph._lazy import lazy
 from optshape_graph.errors import EstimationError, InputError, MissingExtraError, OptshapeError, UnobservableError
-from optshape_graph.scan import Scan
-from optshape_graph.sensor import SensorModel
-from optshape_graph.target import Chessboard, Target
 
 if TYPE_CHECKING:
     from optshape_graph.calibration.camera import CameraCalibration, calibrate_camera
@@ -21,15 +18,22 @@ if TYPE_CHECKING:
     from optshape_graph.io import load_sensor, load_session, load_target, read_scan
     from optshape_graph.mapping import Map, load_map, map_recording, save_map
     from optshape_graph.pose import PoseEstimate, estimate_pose
+    from optshape_graph.scan import Scan
+    from optshape_graph.sensor import SensorModel
+    from optshape_graph.target import Chessboard, Target
 
 __version__ = "0.1.0"
 
 _HOME = {
     "CameraCalibration": "calibration.camera",
+    "Chessboard": "target",
     "Detections": "detection",
     "Map": "mapping",
     "MocapCalibration": "calibration.mocap",
     "PoseEstimate": "pose",
+    "Scan": "scan",
+    "SensorModel": "sensor",
+    "Target": "target",
     "calibrate_camera": "calibration.camera",
     "calibrate_mocap": "calibration.mocap",
     "detect_targets": "detection",

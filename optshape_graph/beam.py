@@ -23,10 +23,12 @@ class Beam:
     Attributes:
         divergence: full angle, rad.
         aperture: width where it leaves the sensor, metres.
+        blooming: standard deviation of the azimuth by which a scan's rings reach further on each side, rad.
     """
 
     divergence: float
     aperture: float
+    blooming: float = 0.0
 
     COMMON: ClassVar[float] = 1 / np.sqrt(12)
     """Standard deviation of the offset that all edge points of a scan share, in beam widths."""
@@ -37,7 +39,9 @@ class Beam:
     @classmethod
     def of(cls, sensor: SensorModel | None) -> Beam:
         """Take the beam of a sensor; an unknown one has a beam of 3 mrad, a centimetre wide at first."""
-        return cls(sensor.beam_divergence, sensor.beam_aperture) if sensor else cls(3e-3, 0.01)
+        if sensor is None:
+            return cls(3e-3, 0.01)
+        return cls(sensor.beam_divergence, sensor.beam_aperture, sensor.blooming)
 
     @property
     def ideal(self) -> bool:
@@ -47,6 +51,14 @@ class Beam:
     def width(self, ranges: Floats) -> Floats:
         """Width of the beam at ranges (...), metres; an ideal beam's still is a tenth of a millimetre."""
         return np.maximum(self.aperture + self.divergence * ranges, 1e-4)
+
+    def offset_of_rays(self, ranges: Floats) -> float:
+        """Standard deviation of an offset across all edges that stands for blooming too, in beam widths.
+
+        Args:
+            ranges: (N,) metres.
+        """
+        return float(np.hypot(self.COMMON, self.blooming / np.mean(self.width(ranges) / ranges)))
 
 
 FINEST_STEP = 0.2

@@ -7,11 +7,11 @@ from pathlib import Path
 import click
 
 from optshape_graph.cli.console import say, warn
-from optshape_graph.cli.options import FILE, force_option
+from optshape_graph.cli.options import FILE, example, force_option
 from optshape_graph.names import shell_word
 
 
-@click.command()
+@click.command(epilog=example("optshape view poses.json --save poses.rrd"))
 @click.argument("file", type=click.Path(path_type=Path), metavar="RESULT.json|SCAN")
 @click.option("--target", "targets", multiple=True,
               help="Target file, for a result that names a target which is not built in; may be repeated.")  # fmt: skip
@@ -31,8 +31,6 @@ def command(
     are, or beside it.
 
     Rerun's viewer collects anonymous usage data unless told not to: rerun analytics disable.
-
-    Example: optshape view poses.json --save poses.rrd
     """
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_target

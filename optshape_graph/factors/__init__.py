@@ -55,6 +55,8 @@ if TYPE_CHECKING:
         shape_rows,
     )
     from optshape_graph.factors.static import (
+        BLOOMING,
+        BRIGHTNESS,
         EDGE_OFFSET,
         ELEVATION,
         RANGE_BIAS,
@@ -73,6 +75,8 @@ if TYPE_CHECKING:
 
 _HOME = {
     "AugmentedMeasurement": "sensor_parameters",
+    "BLOOMING": "static",
+    "BRIGHTNESS": "static",
     "BiasedMeasurement": "static",
     "CheckedFactor": "_callback",
     "EDGE_OFFSET": "static",
@@ -109,6 +113,8 @@ _HOME = {
 }
 
 __all__ = [
+    "BLOOMING",
+    "BRIGHTNESS",
     "EDGE_OFFSET",
     "ELEVATION",
     "RANGE_BIAS",

@@ -10,7 +10,7 @@ import numpy as np
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.edges import upward
 from optshape_graph.factors.measurement import template_rows
-from optshape_graph.factors.static import ELEVATION, RANGE_BIAS, BiasedMeasurement, SharedError
+from optshape_graph.factors.static import BRIGHTNESS, ELEVATION, RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.scan import Scan
 from optshape_graph.target import FLATNESS
 
@@ -57,6 +57,17 @@ class PlaneReturns(Value):
         moved[np.arange(len(ring)), column] = sigma * (upward(self.points) @ normal) / self.sigma
         errors = (*self.errors, *(SharedError(ELEVATION, ring=int(k)) for k in rings))
         return replace(self, errors=errors, bias=np.hstack([self.bias, moved]))
+
+    def with_brightness(self, normal: Floats, sigma: float) -> PlaneReturns:
+        """Return them with a range bias that all share, of a standard deviation in metres.
+
+        Args:
+            normal: (3,) unit normal of the plane, LiDAR frame.
+            sigma: metres.
+        """
+        moved = sigma * np.abs(self.points @ normal) / np.linalg.norm(self.points, axis=1) / self.sigma
+        errors = (*self.errors, SharedError(BRIGHTNESS))
+        return replace(self, errors=errors, bias=np.column_stack([self.bias, moved]))
 
     def with_bands(self, points: Floats, counts: Sequence[int]) -> PlaneReturns:
         """Return them with range biases at several scales.

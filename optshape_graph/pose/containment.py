@@ -139,8 +139,10 @@ class Slack:
     def of(cls, evidence: Evidence) -> Slack:
         """Take the sensor's beam at the returns' median range."""
         beam, options = evidence.problem.beam, evidence.problem.options
-        width = float(np.median(beam.width(np.linalg.norm(evidence.scan.points, axis=1))))
-        return cls(float(np.hypot(options.flatness, beam.OWN * width)), beam.COMMON * width, options.strays)
+        distance = np.median(np.linalg.norm(evidence.scan.points, axis=1))
+        width = float(beam.width(distance))
+        offset = float(np.hypot(beam.COMMON * width, beam.blooming * distance))
+        return cls(float(np.hypot(options.flatness, beam.OWN * width)), offset, options.strays)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

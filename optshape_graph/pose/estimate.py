@@ -8,7 +8,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.pose.certificate import Backend, certify, why_not_certified
+from optshape_graph.pose.certificate import NOT_TIGHT, Backend, certify
 from optshape_graph.pose.containment import find_by_containment
 from optshape_graph.pose.evidence import Evidence, Finding, measure
 from optshape_graph.pose.fit import Fit, measure_fit
@@ -83,7 +83,7 @@ def conclude(found: Finding, duplicates: int, backend: Backend) -> PoseEstimate:
     status, reason = _verdict(found, fit, covariance, unobservable)
     certificate = certify(found.exact, T_target_lidar, found.total_weight, backend, options.certified_gap)
     if status == "ok" and not certificate.certified:
-        reason = why_not_certified(found.exact)
+        reason = NOT_TIGHT
     off_plane = evidence.scan.points @ T_target_lidar[0, :3] + T_target_lidar[0, 3]
     return PoseEstimate(
         target=problem.target,
