@@ -29,7 +29,7 @@ from optshape_graph.calibration.camera.session import read_views
 from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.camera.start import Start, find_start
 from optshape_graph.calibration.images.image_points import turn_about
-from optshape_graph.errors import EstimationError, InputError, UnobservableError
+from optshape_graph.errors import EstimationError, InputError, UnobservableError, expect
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Session, load_session
 from optshape_graph.runs.kept import Kept
@@ -70,6 +70,7 @@ def calibrate_camera(
         EstimationError: no target was found, or the views contradict each other; the message has the reasons.
         UnobservableError: the views leave directions of the extrinsic open, which it names.
     """
+    expect("session", session, str, Path, Session)
     loaded = session if isinstance(session, Session) else load_session(session)
     if refine_intrinsics:
         for camera in loaded.cameras.values():
