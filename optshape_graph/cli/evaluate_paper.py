@@ -46,7 +46,9 @@ def command(
     from optshape_graph.viz.paper import figures
     from optshape_graph.viz.style import save_figure
 
-    Outputs([], force=force).folder("--output", output)
+    older = (output / "tasks").is_dir()  # then what is there is replaced
+    made = [] if older else ["table1.csv", "table2.csv", *(path.name for path in output.glob("figure-*"))]
+    Outputs(force=force).folder("--output", output, made, replace=False)
     target = load_target("paper")
     for name, figure in figures(target, seed).items():
         say(f"picture: {save_figure(figure, output / f'{name}.{plot_format}')}")
