@@ -60,7 +60,7 @@ coverage: setup-test
 	$(BIN)/python -m pytest -n $(JOBS) -m "not benchmark" --cov --cov-report=term:skip-covered
 
 docs: setup-docs
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+	PYTHONPATH=docs $(BIN)/python -m zensical build --clean --strict
 
 release-check: setup-test
 	rm -rf build/dist

@@ -9,14 +9,16 @@ import click
 
 from optshape_graph.cli.console import say, say_passed_over, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import force_option, outside_option
+from optshape_graph.cli.options import Number, example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
     from optshape_graph.calibration.camera import CameraCalibration
 
 
-@click.command()
+@click.command(
+    epilog=example("optshape calibrate camera session.yaml --json camera.json --report camera.html --plot pictures")
+)
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to "
               "this file; until it is whole, what was found is kept in FILE.journal.")  # fmt: skip
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--range-bias-sigma",
-    type=click.FloatRange(min=0.0),
+    type=Number(0.0, 10.0),
     default=0.03,
     show_default=True,
     help="Prior standard deviation of a LiDAR's range bias, metres; 0: it has none.",

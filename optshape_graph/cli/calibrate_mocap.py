@@ -10,14 +10,16 @@ import click
 
 from optshape_graph.cli.console import say, say_passed_over, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import force_option, outside_option
+from optshape_graph.cli.options import example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
     from optshape_graph.calibration.mocap.comparison import ScanError
 
 
-@click.command()
+@click.command(
+    epilog=example("optshape calibrate mocap session.yaml --json mocap.json --report mocap.html --plot pictures")
+)
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
 @click.option("--estimate-scale", is_flag=True, help="Estimate the motion capture's scale too; else it is 1.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to "

@@ -7,17 +7,17 @@ from pathlib import Path
 import click
 
 from optshape_graph.cli.console import say
-from optshape_graph.cli.options import FOLDER, force_option, outside_option, seed_option
+from optshape_graph.cli.options import FOLDER, example, force_option, outside_option, seed_option
+from optshape_graph.cli.plots import picture_ending, plot_format_option, save_picture
 
 
-@click.command(epilog="\b\nExample:\n  optshape evaluate paper --draws 5 --mocap recordings -o paper")
+@click.command(epilog=example("optshape evaluate paper --draws 5 --mocap recordings -o paper"))
 @click.option(
     "--draws", type=click.IntRange(1, 10_000), default=5, show_default=True, help="Scans of a row of Table I."
 )
 @click.option("--mocap", type=click.Path(file_okay=False, exists=True, path_type=Path), metavar="DIR",
               help="Session folders with markers, for Table II.")  # fmt: skip
-@click.option("--plot-format", type=click.Choice(["png", "svg", "pdf"]), default="png", show_default=True,
-              help="Of the figures.")  # fmt: skip
+@plot_format_option
 @seed_option("Of everything random.")
 @outside_option
 @force_option
@@ -25,7 +25,6 @@ from optshape_graph.cli.options import FOLDER, force_option, outside_option, see
 def command(
     draws: int,
     mocap: Path | None,
-    plot_format: str,
     seed: int,
     allow_outside: bool,
     force: bool,
@@ -44,14 +43,13 @@ def command(
     from optshape_graph.evaluation.tables import write_csv
     from optshape_graph.io.targets import load_target
     from optshape_graph.viz.paper import figures
-    from optshape_graph.viz.style import save_figure
 
     older = (output / "tasks").is_dir()  # then what is there is replaced
     made = [] if older else ["table1.csv", "table2.csv", *(path.name for path in output.glob("figure-*"))]
     Outputs(force=force).folder("--output", output, made, replace=False)
     target = load_target("paper")
     for name, figure in figures(target, seed).items():
-        say(f"picture: {save_figure(figure, output / f'{name}.{plot_format}')}")
+        say(f"picture: {save_picture(output, name, figure, picture_ending())}")
     with progress_bar("Table I") as progress:
         rows = table_1(target, output / "tasks", draws, seed, progress)
     write_csv(output / "table1.csv", rows)

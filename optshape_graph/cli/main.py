@@ -70,7 +70,9 @@ LONGEST_MESSAGE = 2000
 )
 @click.version_option(optshape_graph.__version__, prog_name="optshape")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
-def cli(debug: bool) -> None:
+@click.option("--profile", is_flag=True, help="Print at the end where the time went, on standard error.")
+@click.pass_context
+def cli(ctx: click.Context, debug: bool, profile: bool) -> None:
     """LiDAR targets as landmarks: certified poses with covariances, calibration, maps.
 
     Exit status: 0 all well; 1 unexpected; 2 bad usage or input; 3 some scans failed, are doubtful or ambiguous
@@ -79,6 +81,10 @@ def cli(debug: bool) -> None:
     handler = logging.StreamHandler()
     handler.setFormatter(OneLine("optshape: %(levelname)s: %(message)s"))
     logging.basicConfig(handlers=[handler], level=logging.WARNING)
+    if profile:
+        from optshape_graph.cli.profiling import profiled
+
+        ctx.with_resource(profiled())
 
 
 class OneLine(logging.Formatter):

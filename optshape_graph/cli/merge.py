@@ -8,10 +8,10 @@ import click
 
 from optshape_graph.cli.console import say
 from optshape_graph.cli.map import say_landmarks
-from optshape_graph.cli.options import FILE, force_option
+from optshape_graph.cli.options import FILE, example, force_option
 
 
-@click.command()
+@click.command(epilog=example("optshape merge monday.json tuesday.json --json both.json"))
 @click.argument("maps", nargs=-1, type=FILE, metavar="MAP...")
 @click.option("--json", "json_file", type=FILE, required=True, help="Write the map (optshape/map/1).")
 @force_option
@@ -20,8 +20,6 @@ def command(maps: tuple[Path, ...], json_file: Path, force: bool) -> int:
 
     Each MAP must have landmarks in common, by name, with those before it, and be made independently of them: of other
     sessions, not extended from one of them with --known. Joint covariances are kept.
-
-    Example: optshape merge monday.json tuesday.json --json both.json
     """
     from functools import reduce
 

@@ -78,3 +78,12 @@ def test_what_pages_name_exists(page: Path) -> None:
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]+", text)) <= options()
     for name in re.findall(r"`(?:notebooks/)?(\d\d_\w+\.ipynb)`", text):
         assert (ROOT / "notebooks" / name).is_file(), name
+
+
+def test_messages_of_troubleshooting_are_those_of_the_package() -> None:
+    text = "".join(path.read_text() for path in sorted((ROOT / "optshape_graph").rglob("*.py")))
+    said = re.sub(r'"\s*\n\s*f?"', "", text)  # strings over several lines
+    page = (ROOT / "docs" / "guides" / "troubleshooting.md").read_text()
+    quoted = [part for row in re.findall(r"^\| (`.*?) \|", page, re.MULTILINE) for part in re.findall(r"`(.+?)`", row)]
+    assert len(quoted) > 40
+    assert [message for message in quoted for part in message.split("…") if part.strip() not in said] == []

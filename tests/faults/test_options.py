@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import shutil
 import zlib
@@ -12,6 +13,7 @@ import click
 import pytest
 
 from optshape_graph.cli.main import cli
+from optshape_graph.cli.options import Number
 from tests.faults.harness import MANY, changed, problem_of, run, snapshot
 from tests.faults.inputs import HOSTILE, make_bad, make_inputs
 
@@ -175,6 +177,17 @@ def leaves(group: click.Group, words: str = "") -> Iterator[str]:
             yield from leaves(found, name)
         else:
             yield name
+
+
+def test_every_number_has_a_range() -> None:
+    for name in RUNS:
+        for parameter in leaf(name).params:
+            kind = parameter.type
+            if isinstance(kind, Number):
+                assert kind.finite or kind.least > -math.inf, (name, parameter.name)
+            elif isinstance(kind, click.types.IntParamType | click.types.FloatParamType):
+                assert isinstance(kind, click.IntRange), (name, parameter.name)
+                assert None not in (kind.min, kind.max), (name, parameter.name)
 
 
 def test_every_command_is_tried() -> None:

@@ -65,7 +65,7 @@ def test_source_distribution_holds_what_is_needed_to_test_and_document_it(dist: 
     [path] = dist.glob("*.tar.gz")
     with tarfile.open(path) as archive:
         names = {name.split("/", 1)[1] for name in archive.getnames()}
-    assert {"README.md", "CHANGELOG.md", "LICENSE", "Makefile", "mkdocs.yml", "docs/index.md"} <= names
+    assert {"README.md", "CHANGELOG.md", "LICENSE", "Makefile", "zensical.toml", "docs/index.md"} <= names
     assert "tests/release/smoke.py" in names
     assert not [name for name in names if name.startswith(("build/", "dist/", ".venv/"))]
 
