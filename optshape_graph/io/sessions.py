@@ -88,11 +88,6 @@ class Session(Value):
     views: tuple[View, ...]
     mocap: Mocap | None = None
 
-    def files(self) -> list[Path]:
-        """Return the files of the views."""
-        named = [(view.scan, view.image, view.target_points, view.corners) for view in self.views]
-        return [path for paths in named for path in paths if path is not None]
-
 
 def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
     """Read a session and what it names: sensors, targets, intrinsics, markers. Scans and images stay files.
