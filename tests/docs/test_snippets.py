@@ -87,3 +87,11 @@ def test_messages_of_troubleshooting_are_those_of_the_package() -> None:
     quoted = [part for row in re.findall(r"^\| (`.*?) \|", page, re.MULTILINE) for part in re.findall(r"`(.+?)`", row)]
     assert len(quoted) > 40
     assert [message for message in quoted for part in message.split("…") if part.strip() not in said] == []
+
+
+def test_every_figure_and_table_of_the_paper_has_a_row() -> None:
+    page = (ROOT / "docs" / "paper.md").read_text()
+    rows = re.findall(r"^\| (Figures?|Table) ([^,|]+)", page, re.MULTILINE)
+    numbers = {int(n) for kind, text in rows if kind.startswith("Figure") for n in re.findall(r"\d+", text)}
+    assert numbers == set(range(1, 15))
+    assert {text.strip() for kind, text in rows if kind == "Table"} == {"I", "II"}
