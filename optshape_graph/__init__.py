@@ -6,13 +6,10 @@ scan, `factors` makes GTSAM factors of estimates, `graph` solves several scans a
 `mapping` build on it.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from optshape_graph._lazy import lazy
 from optshape_graph.errors import EstimationError, InputError, MissingExtraError, OptshapeError, UnobservableError
-from optshape_graph.scan import Scan
-from optshape_graph.sensor import SensorModel
-from optshape_graph.target import Chessboard, Target
 
 if TYPE_CHECKING:
     from optshape_graph.calibration.camera import CameraCalibration, calibrate_camera
@@ -21,15 +18,22 @@ if TYPE_CHECKING:
     from optshape_graph.io import load_sensor, load_session, load_target, read_scan
     from optshape_graph.mapping import Map, load_map, map_recording, save_map
     from optshape_graph.pose import PoseEstimate, estimate_pose
+    from optshape_graph.scan import Scan
+    from optshape_graph.sensor import SensorModel
+    from optshape_graph.target import Chessboard, Target
 
 __version__ = "0.1.0"
 
 _HOME = {
     "CameraCalibration": "calibration.camera",
+    "Chessboard": "target",
     "Detections": "detection",
     "Map": "mapping",
     "MocapCalibration": "calibration.mocap",
     "PoseEstimate": "pose",
+    "Scan": "scan",
+    "SensorModel": "sensor",
+    "Target": "target",
     "calibrate_camera": "calibration.camera",
     "calibrate_mocap": "calibration.mocap",
     "detect_targets": "detection",
@@ -73,14 +77,4 @@ __all__ = [
     "save_map",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'optshape_graph' has no attribute '{name}'")
-    found = getattr(import_module(f"optshape_graph.{_HOME[name]}"), name)
-    globals()[name] = found
-    return found
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOME})
+__getattr__, __dir__ = lazy(__name__, _HOME)

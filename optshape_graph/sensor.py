@@ -23,6 +23,11 @@ class SensorModel(Value):
         ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
         elevation_error: standard deviation over rings of how far elevations are off the table, rad. Makers state or are
             found to keep a twentieth to a tenth of a degree.
+        brightness_bias: standard deviation of the range bias that all returns of a surface in a scan share, metres:
+            dark ones come late, bright ones early.
+        blooming: standard deviation of the azimuth by which a target seems to reach further on each side than its
+            share of the beam says, rad: bright ones do.
+        odd_ends: share of ring ends that are not what they seem: the last return a stray, or a few lost beyond it.
         beam_divergence: full angle of the beam, rad.
         beam_aperture: width of the beam where it leaves the sensor, metres.
         beam_crossing: where the beams cross, horizontal distance from the axis, metres; drivers report heights as if
@@ -45,6 +50,9 @@ class SensorModel(Value):
     range_noise: float = 0.01
     ring_bias: float = 0.01
     elevation_error: float = np.radians(0.1)
+    brightness_bias: float = 0.0
+    blooming: float = 0.0
+    odd_ends: float = 0.01
     beam_divergence: float = 0.0
     beam_aperture: float = 0.0
     beam_crossing: float = 0.0
@@ -73,6 +81,8 @@ class SensorModel(Value):
             "range_noise",
             "ring_bias",
             "elevation_error",
+            "brightness_bias",
+            "blooming",
             "beam_divergence",
             "beam_aperture",
             "beam_crossing",
@@ -82,6 +92,8 @@ class SensorModel(Value):
             value = getattr(self, field)
             if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"sensor '{self.name}': {field} {value} is not a number >= 0")
+        if not 0 < self.odd_ends < 1:
+            raise InputError(f"sensor '{self.name}': odd_ends {self.odd_ends} is not a share above 0 and below 1")
         step = self.azimuth_step
         if step is not None and not (np.isfinite(step) and 0 < step < np.pi):
             raise InputError(f"sensor '{self.name}': azimuth step {step} rad is not within (0, pi)")

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     epilog=example("optshape calibrate camera session.yaml --json camera.json --report camera.html --plot pictures")
 )
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to "
+              "this file; until it is whole, what was found is kept in FILE.journal.")  # fmt: skip
 @report_option
 @plot_option("errors of the views, and for each its image with the returns and outlines", "--overlays")
 @click.option("--camchain", type=click.Path(path_type=Path), help="Write a Kalibr-style camchain to this file.")
@@ -65,6 +66,7 @@ def command(
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_session
     from optshape_graph.io.documents import write_json, write_yaml
+    from optshape_graph.runs.kept import keeping
 
     loaded = load_session(session, allow_outside=allow_outside)
     outputs = Outputs([session, *loaded.files()], force=force)
@@ -74,16 +76,17 @@ def command(
     outputs.folder("--plot", plots)
     if camchain:
         check_camchain(loaded)
-    with progress_bar("images, scans and cross-validation") as progress:
+    with progress_bar("images, scans and cross-validation") as progress, keeping(json_path) as kept:
         calibration = calibrate_camera(
             loaded,
             use_target_points=use_target_points,
             refine_intrinsics=refine_intrinsics,
             range_bias_sigma=range_bias_sigma,
             progress=progress,
+            kept=kept,
         )
-    if json_path:
-        write_json(json_path, calibration.to_dict())
+        if json_path:
+            write_json(json_path, calibration.to_dict())
     if camchain:
         write_yaml(camchain, kalibr_camchain(calibration))
     _print(calibration)

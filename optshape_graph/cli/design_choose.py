@@ -51,6 +51,7 @@ def choose(
     """
     from optshape_graph.cli.console import progress_bar
     from optshape_graph.cli.outputs import Outputs
+    from optshape_graph.cli.plots import check_picture
     from optshape_graph.evaluation.choose import Wish, choose_target
     from optshape_graph.io.documents import write_json
     from optshape_graph.io.sensors import load_sensor
@@ -61,6 +62,7 @@ def choose(
     outputs.file("--output", output, "target")
     if output is not None:
         outputs.new("--output", output.with_suffix(".pdf"))
+        check_picture(output.with_suffix(".pdf"))
     outputs.file("--report", html)
     wish = Wish(load_sensor(sensor), metres, radians(rotation), translation)
     with progress_bar("sizes") as progress:

@@ -19,6 +19,7 @@ from optshape_graph.sensor import SensorModel
 _METRES = {
     "range_noise_m": "range_noise",
     "ring_bias_m": "ring_bias",
+    "brightness_bias_m": "brightness_bias",
     "beam_aperture_m": "beam_aperture",
     "beam_crossing_m": "beam_crossing",
     "range_resolution_m": "range_resolution",
@@ -30,7 +31,14 @@ _METRES = {
 ALIKE = np.radians(1.5)
 """Up to this much the beams of a unit differ from its model's data sheet, rad."""
 
-ASSUMED = {"range_noise": 0.01, "ring_bias": 0.01, "beam_divergence": np.radians(0.17), "beam_aperture": 0.01}
+ASSUMED = {
+    "range_noise": 0.01,
+    "ring_bias": 0.01,
+    "brightness_bias": 0.01,
+    "blooming": np.radians(0.04),
+    "beam_divergence": np.radians(0.17),
+    "beam_aperture": 0.01,
+}
 """What is assumed of a sensor of which nothing but its beams is known, metres and rad."""
 
 
@@ -61,9 +69,11 @@ def _own(root: Node) -> SensorModel:
     parameters: dict[str, Any] = {
         attribute: fields[key].number() for key, attribute in _METRES.items() if key in fields
     }
-    for key in ("azimuth_step_deg", "beam_divergence_deg", "elevation_error_deg"):
+    for key in ("azimuth_step_deg", "beam_divergence_deg", "elevation_error_deg", "blooming_deg"):
         if key in fields:
             parameters[key.removesuffix("_deg")] = float(np.radians(fields[key].number()))
+    if "odd_ends" in fields:
+        parameters["odd_ends"] = fields["odd_ends"].number()
     if "azimuth_offsets_deg" in fields:
         parameters["azimuth_offsets"] = np.radians(fields["azimuth_offsets_deg"].numbers(-1))
     if "firing_times_us" in fields:
@@ -127,6 +137,8 @@ def save_sensor(path: str | Path, sensor: SensorModel) -> None:
     if sensor.firing_phases is not None:
         document["firing_times_us"], document["firing_period_us"] = sensor.firing_phases.tolist(), 1.0
     document["elevation_error_deg"] = float(np.degrees(sensor.elevation_error))
+    document["blooming_deg"] = float(np.degrees(sensor.blooming))
+    document["odd_ends"] = float(sensor.odd_ends)
     document["beam_divergence_deg"] = float(np.degrees(sensor.beam_divergence))
     for key, attribute in _METRES.items():
         value = float(getattr(sensor, attribute))

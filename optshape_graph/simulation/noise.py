@@ -28,6 +28,9 @@ class NoiseModel:
         azimuth_noise: standard deviation of one azimuth, rad.
         elevation_noise: standard deviation of one elevation, rad.
         ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
+        brightness_bias: standard deviation of the range bias that each surface in a scan has, metres.
+        blooming: standard deviation of the azimuth by which targets reach further, in a scan, on each side, rad.
+        odd_ends: share of ring ends on targets of which one firing more returns, or one to three fewer.
         range_resolution: step to which ranges are rounded, metres; 0: not rounded.
         dropout: probability that a return at normal incidence is lost. At incidence i it is dropout**cos(i), so
             that nothing returns from a surface seen along itself.
@@ -47,6 +50,9 @@ class NoiseModel:
     azimuth_noise: float = 0.0
     elevation_noise: float = 0.0
     ring_bias: float = 0.0
+    brightness_bias: float = 0.0
+    blooming: float = 0.0
+    odd_ends: float = 0.0
     range_resolution: float = 0.0
     dropout: float = 0.0
     hit_fraction: float = 0.5
@@ -59,12 +65,16 @@ class NoiseModel:
             "azimuth_noise",
             "elevation_noise",
             "ring_bias",
+            "brightness_bias",
+            "blooming",
             "range_resolution",
             "edge_spread",
         ):
             value = getattr(self, field)
             if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"noise: {field} {value} is not a number >= 0")
+        if not 0 <= self.odd_ends < 1:
+            raise InputError(f"noise: share of odd ring ends {self.odd_ends} is not a share below 1")
         if not 0 <= self.dropout < 1:
             raise InputError(f"noise: dropout {self.dropout} is not a probability below 1")
         if not 0 < self.hit_fraction < 1:
@@ -72,13 +82,16 @@ class NoiseModel:
 
     @classmethod
     def of(cls, sensor: SensorModel) -> NoiseModel:
-        """Return what the sensor's own model says: its range noise, ring bias and resolution.
+        """Return what the sensor's own model says: its range noise and biases, resolution, blooming and odd ring ends.
 
         The azimuth phase is free, and a partial hit may or may not return, wherever in the beam the edge lies.
         """
         return cls(
             range_noise=sensor.range_noise,
             ring_bias=sensor.ring_bias,
+            brightness_bias=sensor.brightness_bias,
+            blooming=sensor.blooming,
+            odd_ends=sensor.odd_ends,
             range_resolution=sensor.range_resolution,
             edge_spread=1.0,
             random_phase=True,
@@ -127,13 +140,18 @@ class NoiseModel:
         """(n_rings,) range bias of each ring, metres: draw once for a sensor, or once for a scan."""
         return rng.normal(0.0, self.ring_bias, n_rings) if self.ring_bias > 0 else np.zeros(n_rings)
 
+    def draw_brightness_bias(self, n_surfaces: int, rng: np.random.Generator) -> Floats:
+        """(n_surfaces,) range bias of each surface, metres."""
+        return rng.normal(0.0, self.brightness_bias, n_surfaces) if self.brightness_bias > 0 else np.zeros(n_surfaces)
+
     def draw_phase(self, step: float, rng: np.random.Generator) -> float:
         """Azimuth by which a revolution's grid is shifted, rad: 0 unless the phase is free."""
         return float(rng.uniform(0.0, step)) if self.random_phase else 0.0
 
     def widest_edge_margin(self, sensor: SensorModel) -> EdgeMargin:
         """Return one that no ray exceeds."""
-        return EdgeMargin(np.array([1.0 + 2.0 * self.edge_spread]), sensor.beam_divergence, sensor.beam_aperture)
+        radii = np.array([1.0 + 2.0 * self.edge_spread])
+        return EdgeMargin(radii, sensor.beam_divergence, sensor.beam_aperture, MOST_BLOOMING * self.blooming)
 
     def draw_edge_margin(self, sensor: SensorModel, n_rays: int, rng: np.random.Generator) -> EdgeMargin:
         """Return by how much each beam's axis may pass outside an edge and still return.
@@ -147,7 +165,10 @@ class NoiseModel:
         if self.edge_spread > 0:
             spread = self.edge_spread
             radii = radii + rng.uniform(-spread, spread) + rng.uniform(-spread, spread, n_rays)
-        return EdgeMargin(radii, sensor.beam_divergence, sensor.beam_aperture)
+        further = (
+            float(np.clip(rng.normal(), -MOST_BLOOMING, MOST_BLOOMING)) * self.blooming if self.blooming > 0 else 0.0
+        )
+        return EdgeMargin(radii, sensor.beam_divergence, sensor.beam_aperture, further)
 
     def draw_survivors(self, cos_incidence: Floats, rng: np.random.Generator) -> Bools:
         """(N,) whether a return at each (N,) cosine of incidence is detected."""
@@ -178,6 +199,9 @@ class NoiseModel:
             elevation = elevation + rng.normal(0.0, self.elevation_noise, len(ranges))
         return ranges, azimuth, elevation
 
+
+MOST_BLOOMING = 4.0
+"""Standard deviations by which a target blooms at most."""
 
 LEVELS: dict[int, tuple[float, float, float]] = {
     0: (0.0, 0.0, 0.0),

@@ -15,6 +15,7 @@ from optshape_graph.se3 import inverse
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation.motion import Motion
 from optshape_graph.simulation.noise import IDEAL, NoiseModel
+from optshape_graph.simulation.odd_ends import make_odd_ends
 from optshape_graph.simulation.rays import EdgeMargin, Revolution, unit_vectors
 from optshape_graph.simulation.surfaces import Patch, Surface
 from optshape_graph.target import Target
@@ -111,12 +112,16 @@ def simulate(
         rays = _facing(rays, scene, placement, noise.widest_edge_margin(sensor))
     origins, directions = _place(rays, placement)
 
-    margin = noise.draw_edge_margin(sensor, len(rays), rng)
+    margin = replace(noise.draw_edge_margin(sensor, len(rays), rng), axis=_pose_at_stamp(placement)[:3, 2])
     ranges, surface, cos_incidence = _cast(scene, origins, directions, margin)
+    if noise.odd_ends > 0:
+        for k, patch in enumerate(scene.targets):
+            make_odd_ends(k, patch, origins, directions, sensor.n_rings, ranges, surface, noise.odd_ends, rng)
     hit = np.flatnonzero((surface >= 0) & (ranges >= sensor.min_range) & (ranges <= sensor.max_range))
     hit = hit[noise.draw_survivors(cos_incidence[hit], rng)]
     ring = rays.ring(hit)
-    r, azimuth, elevation = noise.measure(ranges[hit], rays.azimuth(hit), rays.elevation(hit), bias[ring], rng)
+    bias = bias[ring] + noise.draw_brightness_bias(len(scene.surfaces), rng)[surface[hit]]
+    r, azimuth, elevation = noise.measure(ranges[hit], rays.azimuth(hit), rays.elevation(hit), bias, rng)
     reflectivity = np.array([thing.reflectivity for thing in scene.surfaces])
     scan = Scan(
         points=r[:, None] * unit_vectors(azimuth, elevation),

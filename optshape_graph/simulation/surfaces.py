@@ -60,8 +60,9 @@ class Patch(Value):
     def cast(self, origins: Floats, directions: Floats, margin: EdgeMargin) -> Hits:
         """Intersect with the plane inside the polygon; see `Surface.cast`.
 
-        A beam's angle beyond edge k is that between its axis and the plane through its origin and the edge. A beam
-        whose axis is outside and that returns nevertheless is given the range of the polygon's plane on its axis.
+        A beam's angle beyond edge k is that between its axis and the plane through its origin and the edge; blooming
+        takes off what the ray's azimuth adds to it. A beam whose axis is outside and that returns nevertheless is given
+        the range of the polygon's plane on its axis.
         """
         R, t = self.T_world_patch[:3, :3], self.T_world_patch[:3, 3]
         near = towards_sphere(origins, directions, self.bounds, margin)
@@ -71,7 +72,10 @@ class Patch(Value):
         vertices = self.shape.vertices
         outward = np.cross(np.roll(vertices, -1, axis=0) - vertices, vertices - o[:, None, :])
         outward *= -np.sign(o[:, None, :1]) / np.linalg.norm(outward, axis=-1, keepdims=True)
-        sin_beyond = np.einsum("mkj,mj->mk", outward, d).max(axis=1)
+        sin_beyond = np.einsum("mkj,mj->mk", outward, d)
+        if margin.further:
+            sin_beyond -= margin.further * np.abs(np.einsum("mkj,mj->mk", outward, np.cross(margin.axis @ R, d)))
+        sin_beyond = sin_beyond.max(axis=1)
         ahead = np.flatnonzero(np.isfinite(ranges) & (ranges > 0))
         hit = ahead[sin_beyond[ahead] <= np.sin(margin.angle(near[ahead], ranges[ahead]))]
         return near[hit], ranges[hit], np.abs(d[hit, 0])

@@ -58,7 +58,7 @@ def test_wheel_says_what_the_project_says(dist: Path) -> None:
     assert said["Version"] == optshape_graph.__version__
     assert set(said.get_all("Provides-Extra")) == set(project["optional-dependencies"])
     assert said["License-Expression"] == "Apache-2.0"
-    assert "optshape = optshape_graph.cli.main:main" in entry_points
+    assert "optshape = optshape_graph.cli.entry:main" in entry_points
 
 
 def test_source_distribution_holds_what_is_needed_to_test_and_document_it(dist: Path) -> None:

@@ -1,103 +1,18 @@
-"""What the sensor's errors do to the residuals of a target: plane rows, edge rows, and what they share."""
+"""All returns of a target against its plane, with the noise and the biases of the sensor."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.edges import upward
-from optshape_graph.factors.measurement import TemplateMeasurement, template_rows
-from optshape_graph.factors.static import ELEVATION, RANGE_BIAS, BiasedMeasurement, SharedError
-from optshape_graph.pose.options import PoseOptions
+from optshape_graph.factors.measurement import template_rows
+from optshape_graph.factors.static import BRIGHTNESS, ELEVATION, RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.scan import Scan
-from optshape_graph.sensor import SensorModel
-
-
-@dataclass(frozen=True)
-class EdgeNoise:
-    """How ring ends scatter about the edge beside the quantisation along the ring.
-
-    A return near an edge comes from part of the beam. Which part decides is a matter of reflectance and threshold,
-    so the edge seems to lie further out or in, across the edge: by something common to a scan, and by something
-    of each point's own, either uniform over at most the beam's width.
-
-    Attributes:
-        divergence: full angle of the beam, rad.
-        aperture: width of the beam where it leaves the sensor, metres.
-        options: of them the target's flatness, and which ring ends are lost.
-    """
-
-    divergence: float
-    aperture: float
-    options: PoseOptions
-
-    COMMON = 1 / np.sqrt(12)
-    """Standard deviation of the offset that all edge points of a scan share, in beam widths."""
-
-    OWN = 1 / np.sqrt(12)
-    """Standard deviation of each edge point's own offset, in beam widths."""
-
-    @classmethod
-    def of(cls, sensor: SensorModel | None, options: PoseOptions = PoseOptions()) -> EdgeNoise:
-        """Take the beam of a sensor; an unknown one has a beam of 3 mrad, a centimetre wide at first."""
-        beam = (sensor.beam_divergence, sensor.beam_aperture) if sensor else (3e-3, 0.01)
-        return cls(*beam, options)
-
-    @property
-    def ideal(self) -> bool:
-        """Whether the beam has no width, so that it ends where the target does."""
-        return self.divergence + self.aperture == 0
-
-    def width(self, ranges: Floats) -> Floats:
-        """Width of the beam at ranges (...), metres; an ideal beam's still is a tenth of a millimetre."""
-        return np.maximum(self.aperture + self.divergence * ranges, 1e-4)
-
-
-FINEST_STEP = 0.2
-"""Step across an edge, in beam widths, below which a ring runs along it: where it ends is up to a vertex, not to the
-rays that happen to return, and counts as at this step."""
-
-
-def outermost_return(step: Floats) -> tuple[Floats, Floats]:
-    """How a ring's last return lies and scatters about an edge where several rays fall within the beam's width of it.
-
-    It is the outermost of those that happened to return: further out than a single ray would be, and scattering less.
-
-    Args:
-        step: (...) how far across the edge the ring's next ray is, in beam widths.
-
-    Returns:
-        How much further out it lies, in beam widths, and its scatter against that of a single ray, each (...).
-    """
-    steps, shift, share = _outermost()
-    step = np.maximum(step, FINEST_STEP)
-    return np.interp(step, steps, shift), np.interp(step, steps, share)
-
-
-@cache
-def _outermost() -> tuple[Floats, Floats, Floats]:
-    """The table behind `outermost_return`, by step.
-
-    Rays a step apart, in any phase, each return with a probability that falls from 1 to 0 over the beam's width. What
-    the phase itself shifts and scatters is taken out.
-    """
-    steps, phase = np.geomspace(FINEST_STEP, 1.0, 8), (np.arange(16) + 0.5) / 16
-    x = np.linspace(-1.5, 0.5, 401)
-    table = []
-    for step in steps:
-        place = step * (phase[:, None] + np.arange(-np.ceil(1.5 / step), np.ceil(0.5 / step) + 1))
-        returns = np.clip(0.5 - place, 0.0, 1.0)
-        # The outermost lies before x where no ray beyond x returns.
-        before = np.array([np.where(place > at, 1.0 - returns, 1.0).prod(axis=1).mean() for at in x])
-        middle, mass = 0.5 * (x[1:] + x[:-1]), np.diff(before)
-        mean = mass @ middle / mass.sum()
-        variance = mass @ middle**2 / mass.sum() - mean**2
-        table.append((mean + step / 2, np.sqrt(12.0 * max(variance - step**2 / 12.0, 0.0))))
-    shift, share = np.array(table).T
-    return steps, np.maximum(shift, 0.0), np.minimum(share, 1.0)
+from optshape_graph.target import FLATNESS
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,13 +58,53 @@ class PlaneReturns(Value):
         errors = (*self.errors, *(SharedError(ELEVATION, ring=int(k)) for k in rings))
         return replace(self, errors=errors, bias=np.hstack([self.bias, moved]))
 
+    def with_brightness(self, normal: Floats, sigma: float) -> PlaneReturns:
+        """Return them with a range bias that all share, of a standard deviation in metres.
+
+        Args:
+            normal: (3,) unit normal of the plane, LiDAR frame.
+            sigma: metres.
+        """
+        moved = sigma * np.abs(self.points @ normal) / np.linalg.norm(self.points, axis=1) / self.sigma
+        errors = (*self.errors, SharedError(BRIGHTNESS))
+        return replace(self, errors=errors, bias=np.column_stack([self.bias, moved]))
+
+    def with_bands(self, points: Floats, counts: Sequence[int]) -> PlaneReturns:
+        """Return them with range biases at several scales.
+
+        Lasers, each with a range bias, are not told apart in a cloud without rings, and a bias may drift with the
+        direction: beside one for all, bands of elevation, broad and narrow, stand for them. One scale alone would take
+        the slopes within its bands, or those between them, for certain.
+
+        Args:
+            points: (N, 3) the returns, metres, LiDAR frame.
+            counts: number of bands at each scale.
+        """
+        elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+        lowest, extent = float(elevation.min()), max(float(np.ptp(elevation)), 1e-9)
+        columns, errors = [self.bias], [*self.errors]
+        for count in counts:
+            band = elevation_bands(points, count)
+            found = np.unique(band)
+            columns.append(self.bias * (band[:, None] == found) / np.sqrt(len(counts)))
+            limits = lowest + extent * np.column_stack([found, found + 1]) / count
+            errors += [SharedError(RANGE_BIAS, band=(low, high)) for low, high in limits.tolist()]
+        return replace(self, bias=np.hstack(columns), errors=tuple(errors))
+
     def widened(self, noise: float, bias: float) -> PlaneReturns:
         """Return them with noise and biases that are so many times as large."""
         return replace(self, sigma=noise * self.sigma, bias=bias / noise * self.bias)
 
 
+def elevation_bands(points: Floats, count: int) -> Ints:
+    """(N,) band of elevation of each of points (N, 3), metres, of `count` that are equally wide."""
+    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    fraction = (elevation - elevation.min()) / max(float(np.ptp(elevation)), 1e-9)
+    return np.asarray(np.minimum((fraction * count).astype(np.int64), count - 1))
+
+
 def returns_on_plane(
-    scan: Scan, normal: Floats, distance: float, azimuth_noise: float = 0.0, options: PoseOptions = PoseOptions()
+    scan: Scan, normal: Floats, distance: float, azimuth_noise: float = 0.0, flatness: float = FLATNESS
 ) -> PlaneReturns:
     """Set returns against a plane near the target's.
 
@@ -159,7 +114,7 @@ def returns_on_plane(
         normal: (3,) unit normal of the plane, LiDAR frame.
         distance: of the plane from the sensor along the normal, metres.
         azimuth_noise: standard deviation of one azimuth, rad.
-        options: their flatness is that of the target.
+        flatness: standard deviation of the target itself about its plane, metres.
     """
     points, sensor = scan.points, scan.sensor
     range_noise, ring_bias = (sensor.range_noise, sensor.ring_bias) if sensor else (0.01, 0.01)
@@ -167,7 +122,7 @@ def returns_on_plane(
     cosine = np.abs(along) / np.linalg.norm(points, axis=1)
     turning = np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
     sideways = turning @ normal  # off the plane, metres per radian of azimuth
-    sigma = np.sqrt((range_noise * cosine) ** 2 + (azimuth_noise * sideways) ** 2 + options.flatness**2)
+    sigma = np.sqrt((range_noise * cosine) ** 2 + (azimuth_noise * sideways) ** 2 + flatness**2)
     rings, column = np.unique(np.zeros(len(points), int) if scan.ring is None else scan.ring, return_inverse=True)
     bias = np.zeros((len(points), len(rings)))
     bias[np.arange(len(points)), column] = ring_bias * cosine / sigma
@@ -190,11 +145,3 @@ def plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
     mean[:, 9:] = 0.0
     r = r - A @ np.linalg.lstsq(A.T @ A, (mean / returns.sigma[:, None] ** 2).sum(axis=0), rcond=1e-12)[0]
     return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4), returns.errors)
-
-
-def one_scan(shared: BiasedMeasurement) -> TemplateMeasurement:
-    """Return the measurement of one scan alone: the elevations of its rings count as exact.
-
-    What an error of theirs does to one scan is within what its ring ends scatter; of many it would be the mean's error.
-    """
-    return shared.marginal([float(error.kind != ELEVATION) for error in shared.shared])
