@@ -74,14 +74,9 @@ def plot_map(result: Map, magnify: float | None = None) -> Figure:
         loop = place + magnify * ellipse(C, SIGMAS)
         axes.plot(loop[:, 0], loop[:, 1], color=VERMILLION, lw=1.0)
         _facing(axes, landmark)
-        if len(result.landmarks) <= MOST_NAMES:  # beyond outline and ellipse, on the side that the LiDAR does not see
-            reach = np.vstack([loop, landmark.vertices[:, :2]]) - place
-            away = _unit(landmark.T_world_target[:2, 0])
-            beyond = place + away * float((reach @ away).max())
-            label = axes.annotate(
-                literal(landmark.id), beyond.tolist(), (4 * away).tolist(), textcoords="offset points"
-            )
-            label.set(ha="left" if away[0] > 0 else "right", va="bottom" if away[1] > 0 else "top")
+        if len(result.landmarks) <= MOST_NAMES:  # above outline and ellipse
+            above = float(place[0]), float(max(loop[:, 1].max(), landmark.vertices[:, 1].max()))
+            axes.annotate(literal(landmark.id), above, (0, 5), textcoords="offset points", ha="center", va="bottom")
     large = "" if magnify == 1 else f", drawn {magnify:g} times too large"
     axes.set_title(f"{len(result.landmarks)} landmarks; ellipses of {SIGMAS:g} standard deviations{large}")
     said = f"Orange: the way a landmark faces, and {SIGMAS:g} standard deviations to each side. Arrows: x of the LiDAR."
