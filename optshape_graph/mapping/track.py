@@ -278,8 +278,8 @@ class MappingProblem(Value):
 def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
     """What the estimate's returns say before errors that the LiDAR keeps are marginalised.
 
-    Others are of one scan: where the target ends between two rings, and what isn't known of the board itself. Scans share
-    biases of ranges in metres: their unit is the sensor file's deviation, however large a scan shows them.
+    Others are of one scan: where the target ends between two rings, and what isn't known of the board itself. Scans
+    share biases of ranges in metres: their unit is the sensor file's deviation, however large a scan shows them.
     """
     if estimate.shared is None:
         return None

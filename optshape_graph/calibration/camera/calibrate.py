@@ -112,7 +112,7 @@ def calibrate(
     scans = [s for s in start.sightings if s.sensor == base and used & set(s.views)]
     # What is not known of the lenses, refined or not, is part of what is not known of the cameras' places.
     everything_free = graph_of(cameras)
-    # With a lens that is not quite as given, scans and images differ by more than they scatter: that is told apart here.
+    # With a lens that is not quite as given they differ by more than they scatter: settled with the lens free.
     most_likely, discrepancy = _settled(everything_free, start, best, used)
     uncertainty = everything_free.uncertainty(used.__contains__, most_likely, discrepancy)
     check_observable(uncertainty, middle(scans))
