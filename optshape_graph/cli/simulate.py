@@ -157,7 +157,7 @@ def _noise(
 
     noise = NoiseModel.of(sensor) if level == "sensor" else NoiseModel.level(int(level), range_only)
     given: dict[str, Any] = {
-        part: float(np.radians(value)) if part in ("azimuth_noise", "elevation_noise") else value
+        part: float(np.radians(value)) if NOISE_OPTIONS[part][1] == "DEG" else value
         for part, value in parts.items()
         if value is not None
     }

@@ -157,7 +157,8 @@ class NoiseModel:
 
     def widest_edge_margin(self, sensor: SensorModel) -> EdgeMargin:
         """Return one that no ray exceeds."""
-        return EdgeMargin(np.array([1.0 + self.edge_spread + max(self.edge_spread, self.common_edge_spread or 0.0)]), sensor.beam_divergence, sensor.beam_aperture)
+        widest = 1.0 + self.edge_spread + max(self.edge_spread, self.common_edge_spread or 0.0)
+        return EdgeMargin(np.array([widest]), sensor.beam_divergence, sensor.beam_aperture)
 
     def draw_edge_margin(self, sensor: SensorModel, n_rays: int, rng: np.random.Generator) -> EdgeMargin:
         """Return by how much each beam's axis may pass outside an edge and still return.

@@ -159,9 +159,7 @@ def simulate_target(
         name: the scan's name.
     """
     scene = Scene((Patch(target, np.asarray(T_lidar_target, dtype=float)),))
-    made = simulate(
-        scene, sensor, noise=noise, rng=rng, range_bias=range_bias, angle_errors=angle_errors, name=name
-    )
+    made = simulate(scene, sensor, noise=noise, rng=rng, range_bias=range_bias, angle_errors=angle_errors, name=name)
     return made.scan
 
 
