@@ -138,7 +138,7 @@ def measure_shape(returns: Sequence[Scan], target: Target) -> MeasuredShape:
     # That the offset's effect changes with range would tell it, by less than what is left out here changes with range.
     # So it is not estimated, but it counts.
     total = np.asarray(np.linalg.inv(information))
-    common = EdgeNoise.COMMON * total @ by_offset
+    common = EdgeNoise.common * total @ by_offset
     polygon = target.polygon + (total @ weighted).reshape(n, 2)
     return MeasuredShape(target, SeenShape("", polygon, total + np.outer(common, common)), tuple(seen), crossed)
 
@@ -150,7 +150,7 @@ def _start(target: Target) -> Floats:
 
 def _prior(target: Target) -> Floats:
     """(1 + 2 n, 1 + 2 n) information of them."""
-    return np.diag([1.0 / EdgeNoise.COMMON**2, *np.full(2 * len(target), 1.0 / FREE_SIGMA_M**2)])
+    return np.diag([1.0 / EdgeNoise.common**2, *np.full(2 * len(target), 1.0 / FREE_SIGMA_M**2)])
 
 
 def _with_crossing(scans: Sequence[Scan], target: Target) -> tuple[bool, list[tuple[Scan, Floats]]]:

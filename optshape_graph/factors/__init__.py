@@ -48,6 +48,7 @@ from optshape_graph.factors.shape import (
     shape_rows,
 )
 from optshape_graph.factors.static import (
+    AZIMUTH,
     EDGE_OFFSET,
     ELEVATION,
     RANGE_BIAS,
@@ -65,6 +66,7 @@ from optshape_graph.factors.template import (
 )
 
 __all__ = [
+    "AZIMUTH",
     "EDGE_OFFSET",
     "ELEVATION",
     "RANGE_BIAS",

@@ -56,9 +56,10 @@ def ring_bias_columns(
     return B
 
 
-RANGE_BIAS, ELEVATION, EDGE_OFFSET, OUTER_EDGE = "range bias", "elevation", "edge offset", "outer edge"
-"""Kinds of errors of the sensor that the pose estimator knows: of ranges; of rings' elevations; of how far in the
-returns at all edges lie; and of where between two rings the target ends."""
+RANGE_BIAS, ELEVATION, AZIMUTH = "range bias", "elevation", "azimuth"
+EDGE_OFFSET, OUTER_EDGE = "edge offset", "outer edge"
+"""Kinds of errors of the sensor that the pose estimator knows: of rings' ranges, elevations and azimuths; of how far in
+the returns at all edges lie; and of where between two rings the target ends."""
 
 SURFACE = ("surface turned about y", "surface turned about z", "surface shifted along x")
 STRAIN = ("aspect", "shear")

@@ -206,7 +206,7 @@ class Beam:
         """Take the sensor's beam at the returns' median range."""
         noise = EdgeNoise.of(scan.sensor, options)
         width = float(np.median(noise.width(np.linalg.norm(scan.points, axis=1))))
-        return cls(float(np.hypot(options.flatness, noise.OWN * width)), noise.COMMON * width, options.strays)
+        return cls(float(np.hypot(options.flatness, noise.OWN * width)), noise.common * width, options.strays)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

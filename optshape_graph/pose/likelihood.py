@@ -302,6 +302,7 @@ def scan_log_likelihood(problem: Problem, scan: Scan, ends: EdgePoints) -> LogDe
         z = vec(inverse(T_lidar_target))
         on_plane = -0.5 * (((z @ form[:12, :12] + 2 * form[12, :12]) * z).sum(axis=-1) + form[12, 12])
         corners = apply(T_lidar_target, problem.target.vertices)
-        return np.asarray(on_plane - 0.5 * (offset / noise.COMMON) ** 2 + rays.log_likelihood(corners, offset))
+        on_edges = rays.log_likelihood(corners, offset + noise.offset)
+        return np.asarray(on_plane - 0.5 * (offset / noise.common) ** 2 + on_edges)
 
     return log_likelihood

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
-from optshape_graph.edges import upward
+from optshape_graph.edges import leftward, upward
 from optshape_graph.factors.measurement import TemplateMeasurement, template_rows
-from optshape_graph.factors.static import ELEVATION, RANGE_BIAS, BiasedMeasurement, SharedError
+from optshape_graph.factors.static import AZIMUTH, ELEVATION, RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
@@ -28,14 +28,17 @@ class EdgeNoise:
         divergence: full angle of the beam, rad.
         aperture: width of the beam where it leaves the sensor, metres.
         options: of them the target's flatness, and which ring ends are lost.
+        offset: mean of the offset that all edge points of a scan share, in beam widths.
+        common: its standard deviation.
+        angles: standard deviations, rad, of the elevations and of the azimuths of the sensor's rings; None: unknown.
     """
 
     divergence: float
     aperture: float
     options: PoseOptions
-
-    COMMON = 1 / np.sqrt(12)
-    """Standard deviation of the offset that all edge points of a scan share, in beam widths."""
+    offset: float = SensorModel.edge_offset
+    common: float = SensorModel.edge_offset_sd
+    angles: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
     OWN = 1 / np.sqrt(12)
     """Standard deviation of each edge point's own offset, in beam widths."""
@@ -43,8 +46,18 @@ class EdgeNoise:
     @classmethod
     def of(cls, sensor: SensorModel | None, options: PoseOptions = PoseOptions()) -> EdgeNoise:
         """Take the beam of a sensor; an unknown one has a beam of 3 mrad, a centimetre wide at first."""
-        beam = (sensor.beam_divergence, sensor.beam_aperture) if sensor else (3e-3, 0.01)
-        return cls(*beam, options)
+        if sensor is None:
+            return cls(3e-3, 0.01, options)
+        angles = tuple(sensor.elevation_sds.tolist()), tuple(sensor.azimuth_sds.tolist())
+        beam = sensor.beam_divergence, sensor.beam_aperture
+        return cls(*beam, options, sensor.edge_offset, sensor.edge_offset_sd, angles)
+
+    def angle_sds(self, ring: Ints) -> tuple[Floats, Floats]:
+        """Return the standard deviations (N,) of elevation and azimuth, rad, that rings (N,) are off the table by."""
+        if self.angles is None:
+            return np.full(len(ring), SensorModel.elevation_error), np.full(len(ring), SensorModel.azimuth_error)
+        elevation, azimuth = np.array(self.angles)
+        return elevation[ring], azimuth[ring]
 
     @property
     def ideal(self) -> bool:
@@ -129,19 +142,19 @@ class PlaneReturns(Value):
         rows = {name: getattr(self, name)[mask] for name in ("points", "offset", "sigma", "bias", "coupling")}
         return replace(self, **rows)
 
-    def with_elevations(self, normal: Floats, ring: Ints, sigma: float) -> PlaneReturns:
-        """Return them with an error of each ring's elevation, of a standard deviation in rad.
+    def with_angles(self, normal: Floats, ring: Ints, noise: EdgeNoise) -> PlaneReturns:
+        """Return them with an error of each ring's elevation and of its azimuth.
 
         Args:
             normal: (3,) unit normal of the plane, LiDAR frame.
             ring: (N,) of each return.
-            sigma: rad.
+            noise: says how large they are.
         """
-        rings, column = np.unique(ring, return_inverse=True)
-        moved = np.zeros((len(ring), len(rings)))
-        moved[np.arange(len(ring)), column] = sigma * (upward(self.points) @ normal) / self.sigma
-        errors = (*self.errors, *(SharedError(ELEVATION, ring=int(k)) for k in rings))
-        return replace(self, errors=errors, bias=np.hstack([self.bias, moved]))
+        up, left = noise.angle_sds(ring)
+        columns, errors = angle_errors(
+            up * (upward(self.points) @ normal) / self.sigma, left * (leftward(self.points) @ normal) / self.sigma, ring
+        )
+        return replace(self, errors=(*self.errors, *errors), bias=np.hstack([self.bias, columns]))
 
     def widened(self, noise: float, bias: float) -> PlaneReturns:
         """Return them with noise and biases that are so many times as large."""
@@ -162,10 +175,14 @@ def returns_on_plane(
         options: their flatness is that of the target.
     """
     points, sensor = scan.points, scan.sensor
-    range_noise, ring_bias = (sensor.range_noise, sensor.ring_bias) if sensor else (0.01, 0.01)
+    range_noise, ring_bias = 0.01, np.full(len(points), 0.01)
+    if sensor is not None:
+        known = scan.ring is not None and scan.ring.max(initial=0) < sensor.n_rings
+        range_noise = sensor.range_noise
+        ring_bias = sensor.range_bias_sds[scan.ring] if known else np.full(len(points), sensor.ring_bias)
     along = points @ normal
     cosine = np.abs(along) / np.linalg.norm(points, axis=1)
-    turning = np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
+    turning = leftward(points)
     sideways = turning @ normal  # off the plane, metres per radian of azimuth
     sigma = np.sqrt((range_noise * cosine) ** 2 + (azimuth_noise * sideways) ** 2 + options.flatness**2)
     rings, column = np.unique(np.zeros(len(points), int) if scan.ring is None else scan.ring, return_inverse=True)
@@ -193,8 +210,19 @@ def plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
 
 
 def one_scan(shared: BiasedMeasurement) -> TemplateMeasurement:
-    """Return the measurement of one scan alone: the elevations of its rings count as exact.
+    """Return the measurement of one scan alone, all errors that scans share marginalised."""
+    return shared.marginal(1.0)
 
-    What an error of theirs does to one scan is within what its ring ends scatter; of many it would be the mean's error.
+
+def angle_errors(by_elevation: Floats, by_azimuth: Floats, ring: Ints) -> tuple[Floats, tuple[SharedError, ...]]:
+    """Return what errors of rings' elevations and azimuths do to rows, as columns (N, 2 R), and the errors (2 R,).
+
+    Args:
+        by_elevation: (N,) how far a standard deviation of its ring's elevation moves each row, in the rows' unit.
+        by_azimuth: (N,) the same of its azimuth.
+        ring: (N,) of each row.
     """
-    return shared.marginal([float(error.kind != ELEVATION) for error in shared.shared])
+    rings, column = np.unique(ring, return_inverse=True)
+    own = column[:, None] == np.arange(len(rings))
+    columns = np.hstack([by_elevation[:, None] * own, by_azimuth[:, None] * own])
+    return columns, tuple(SharedError(kind, ring=int(k)) for kind in (ELEVATION, AZIMUTH) for k in rings)

@@ -107,7 +107,7 @@ def fit_ends(problem: Problem, T_target_lidar: Floats, labels: Ints) -> Ends:
     pose = [ny, nz, (nz * y - ny * z) / target.circumradius]
     strains = strain_columns(target, labels, boundary, T_target_lidar)
     residual = g.residual[0] + along * edges.middle
-    rows = np.column_stack([*pose, across * problem.noise.COMMON, strains, residual]) / sd[:, None]
+    rows = np.column_stack([*pose, across * problem.noise.common, strains, residual]) / sd[:, None]
     prior = np.diag([1e-6, 1e-6, 1e-6, 1.0])
     weight = np.ones(len(rows))
     for _ in range(_REWEIGHTINGS):

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value
-from optshape_graph.edges import EdgePoints
+from optshape_graph.edges import EdgePoints, leftward, upward
 from optshape_graph.gaussian import log_ndtr
 from optshape_graph.pose.noise import EdgeNoise, outermost_return
 from optshape_graph.se3 import exp, vec, vec_derivative
@@ -88,6 +88,8 @@ class EdgeGeometry(Value):
         across: (C, M) how fast it grows with the offset across the edge, metres per beam width.
         shift: (C, M) how much further out the last return lies than a single ray would, metres.
         own: (C, M) variance across the edge that is each edge point's own, quantisation apart, m2.
+        lifted: (C, M) how far a standard deviation of its ring's elevation moves each edge point across its edge, metres.
+        turned: (C, M) the same of its azimuth.
     """
 
     labels: Ints
@@ -97,6 +99,8 @@ class EdgeGeometry(Value):
     across: Floats
     shift: Floats
     own: Floats
+    lifted: Floats
+    turned: Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -168,7 +172,9 @@ def edge_geometry(problem: Problem, T: Floats, labels: Ints | None = None) -> Ed
     along = (n * u).sum(axis=-1)
     across = problem.noise.width(np.linalg.norm(p, axis=1)) * np.sqrt(1.0 + mu**2)
     shift, scatter = outermost_return(np.abs(along) * edges.width / across)
-    shift = shift * across
+    shift = (shift - problem.noise.offset) * across
+    up, left = problem.noise.angle_sds(edges.ring)
+    by_angle = direction @ R
     return EdgeGeometry(
         labels=labels,
         direction=direction,
@@ -179,6 +185,8 @@ def edge_geometry(problem: Problem, T: Floats, labels: Ints | None = None) -> Ed
         own=problem.noise.options.flatness**2
         + (problem.noise.OWN * scatter * across) ** 2
         + (edges.scatter * along) ** 2,
+        lifted=up * (by_angle * upward(p)).sum(axis=-1),
+        turned=left * (by_angle * leftward(p)).sum(axis=-1),
     )
 
 
@@ -324,7 +332,7 @@ def _sweep(
     precision0[:, :6, :6] = np.swapaxes(D, 1, 2) @ problem.plane[:12, :12] @ D + _WEAK_PRIOR
     shift0 = np.zeros(precision0.shape[:2])
     shift0[:, :6] = -((z @ problem.plane[:12, :12] + problem.plane[12, :12])[:, None] @ D)[:, 0]
-    precision0[:, 6, 6] = 1.0 / problem.noise.COMMON**2
+    precision0[:, 6, 6] = 1.0 / problem.noise.common**2
     shift0[:, 6] = -precision0[:, 6, 6] * offset
 
     step = posterior_step(problem, geometry, precision0, shift0, J, r, inset, spread, sweeps)

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.edges import UP, EdgePoints, extract_edge_points, upward, with_top_and_bottom
+from optshape_graph.edges import UP, EdgePoints, extract_edge_points, with_top_and_bottom
 from optshape_graph.factors.measurement import refine, template_rows
 from optshape_graph.factors.static import (
     EDGE_OFFSET,
-    ELEVATION,
     OUTER_EDGE,
     STRAIN,
     BiasedMeasurement,
@@ -27,7 +26,14 @@ from optshape_graph.pose.association import ReturnsPlane, enumerate_poses, fit_p
 from optshape_graph.pose.azimuth_grid import at_firing_times, level_rings, place_on_firings
 from optshape_graph.pose.fit import Evidence
 from optshape_graph.pose.modes import Modes, SampledPose, compare_modes, rank
-from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, one_scan, plane_measurement, returns_on_plane
+from optshape_graph.pose.noise import (
+    EdgeNoise,
+    PlaneReturns,
+    angle_errors,
+    one_scan,
+    plane_measurement,
+    returns_on_plane,
+)
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.outline import Ends, fit_ends, strain_columns, tilt_of_rings
 from optshape_graph.pose.propagation import EdgeGeometry, Posterior, Problem, edge_geometry
@@ -35,7 +41,6 @@ from optshape_graph.pose.result import Ambiguity, Finding
 from optshape_graph.pose.surface import PlaneResiduals, Surface, as_seen, displaced, find_surface
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import difference, vec, vec_derivative
-from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 
@@ -82,18 +87,13 @@ def measure(scan: Scan, target: Target, options: PoseOptions) -> Measured:
     plane = fit_plane(scan.points, ring)
     returns = returns_on_plane(scan, plane.axes[0], plane.distance, angular_noise, options)
     off_plane = PlaneResiduals.of(returns, plane, target, ring)
-    seen = as_seen(returns, off_plane).with_elevations(
-        plane.axes[0], ring[off_plane.usual], _elevation_error(scan.sensor)
-    )
+    noise = EdgeNoise.of(scan.sensor, options)
+    seen = as_seen(returns, off_plane).with_angles(plane.axes[0], ring[off_plane.usual], noise)
     on_plane = plane_measurement(seen)
     bounded = edges if angular_noise else _bounded(edges, scan)
-    problem = Problem(bounded, target, one_scan(on_plane).quadratic(), EdgeNoise.of(scan.sensor, options))
+    problem = Problem(bounded, target, one_scan(on_plane).quadratic(), noise)
     surface, tilt = find_surface(off_plane), tilt_of_rings(as_recorded)
     return Measured(scan, angular_noise, tilt, edges, plane, returns, off_plane, surface, on_plane, problem)
-
-
-def _elevation_error(sensor: SensorModel | None) -> float:
-    return sensor.elevation_error if sensor else SensorModel.elevation_error
 
 
 def find_candidates(measured: Measured) -> Posterior:
@@ -125,9 +125,9 @@ def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
     of_ends = replace(problem, edges=edges)
     ends = fit_ends(of_ends, T[0], labels[0, :n])
     if modes.sampled is None:
-        on_edges, edge_weight = _edge_measurement(problem, modes, ends, _elevation_error(scan.sensor))
+        on_edges, edge_weight = _edge_measurement(problem, modes, ends)
     else:
-        on_edges, edge_weight = sampled_measurement(modes.sampled, on_plane)
+        on_edges, edge_weight = sampled_measurement(modes.sampled, on_plane, problem.noise.common)
     shared = on_edges + on_plane
 
     # What is uncertain beside: the surface, and associations that disagree or ends that scatter more than they should.
@@ -177,13 +177,11 @@ def _bounded(edges: EdgePoints, scan: Scan) -> EdgePoints:
     return with_top_and_bottom(edges, scan) if complete else edges
 
 
-def _edge_measurement(
-    problem: Problem, modes: Modes, ends: Ends, elevation_error: float
-) -> tuple[BiasedMeasurement, float]:
+def _edge_measurement(problem: Problem, modes: Modes, ends: Ends) -> tuple[BiasedMeasurement, float]:
     """Boundary points against their edges, before what they share is marginalised; and their weight.
 
     They share the offset across the edges, and the strains of an outline that isn't as drawn, as large as are seen;
-    those of a ring its elevation's error. Ends that scatter more than they should count less.
+    those of a ring the errors of its elevation and of its azimuth. Ends that scatter more than they should count less.
 
     Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely
     take part: a weighted mean of their costs is a cost of the same form. Its minimum is near the mixture's mean where
@@ -197,7 +195,7 @@ def _edge_measurement(
     mean = np.einsum("c,cij->ij", weight, covariance)
     weight = weight / np.trace(np.linalg.solve(covariance, mean), axis1=1, axis2=2)
     weight /= weight.sum()
-    rings, outside = np.unique(problem.edges.ring), np.abs(problem.edges.side) == UP
+    outside = np.abs(problem.edges.side) == UP
     rows, total = [], 0.0
     for k in np.flatnonzero(weight):
         one = posterior.select(slice(k, k + 1))
@@ -207,11 +205,10 @@ def _edge_measurement(
             boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]] + geometry.shift[0]
         )
         own, outer = _outer_edges(problem.edges, sigma, geometry.own[0])
-        offset = geometry.across[0] * problem.noise.COMMON
+        offset = geometry.across[0] * problem.noise.common
         strains = ends.seen_strain * strain_columns(problem.target, geometry.labels[0], boundary, one.T_target_lidar[0])
-        up = (geometry.direction[0] * (upward(boundary) @ one.T_target_lidar[0, :3, :3].T)).sum(axis=1)
-        lifted = elevation_error * up[:, None] * (problem.edges.ring[:, None] == rings)
-        whitened = np.column_stack([offset, strains, outer, lifted, A, r]) / (ends.factor * own[:, None])
+        by_angle, angles = angle_errors(geometry.lifted[0], geometry.turned[0], problem.edges.ring)
+        whitened = np.column_stack([offset, strains, outer, by_angle, A, r]) / (ends.factor * own[:, None])
         shifts = _without_shifts(problem.ring_shifts * (geometry.along[0] / own)[:, None])
         rows.append(np.sqrt(weight[k]) * shifts @ whitened)
         total += float(weight[k] * (1 / (ends.factor * sigma) ** 2).sum())
@@ -224,7 +221,7 @@ def _edge_measurement(
         [
             *(SharedError(kind) for kind in (EDGE_OFFSET, *STRAIN)),
             *(SharedError(OUTER_EDGE, ring=int(ring)) for ring in problem.edges.ring[outside]),
-            *(SharedError(ELEVATION, ring=int(ring)) for ring in rings),
+            *angles,
         ],
     )
     return replace(measurement, n_rows=len(problem.edges)), total
@@ -246,7 +243,9 @@ def _outer_edges(edges: EdgePoints, sigma: Floats, own: Floats) -> tuple[Floats,
     return new, (np.eye(len(sigma)) * np.sqrt(np.maximum(sigma**2 - new**2, 0.0)))[:, outside]
 
 
-def sampled_measurement(sampled: SampledPose, on_plane: BiasedMeasurement) -> tuple[BiasedMeasurement, float]:
+def sampled_measurement(
+    sampled: SampledPose, on_plane: BiasedMeasurement, common: float
+) -> tuple[BiasedMeasurement, float]:
     """Say of the edges what, with the plane, makes the pose that was sampled, its covariance and the offset's.
 
     Near the mean (R0, t0) a right perturbation (w, v) is linear in z = [vec R; t]: w is half of what is skew in
@@ -257,19 +256,19 @@ def sampled_measurement(sampled: SampledPose, on_plane: BiasedMeasurement) -> tu
         The measurement, in z and the common offset, and the sum of 1 / sigma^2, 1/m2.
     """
     T = sampled.T_target_lidar
-    scale = np.append(np.ones(6), EdgeNoise.COMMON)
+    scale = np.append(np.ones(6), common)
     total = np.linalg.inv(sampled.covariance) * np.outer(scale, scale)
     elsewhere, pull = np.zeros((7, 7)), np.zeros(7)  # of the plane, and of the offset's prior
     plane = one_scan(on_plane).at(T)
     J = plane.jacobian(T)
     elsewhere[:6, :6], elsewhere[6, 6] = J.T @ J, 1.0
-    pull[:6], pull[6] = J.T @ plane.residual(T), sampled.offset / EdgeNoise.COMMON
+    pull[:6], pull[6] = J.T @ plane.residual(T), sampled.offset / common
     # What is left is the edges'. Where samples scatter more than the plane alone would let them, almost nothing is.
     root = np.linalg.cholesky(total)
     values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, total - elsewhere).T))
     values = np.maximum(values, 1e-3)
     whiten = np.sqrt(values)[:, None] * (root @ vectors).T
-    constant = whiten @ np.append(np.zeros(6), -sampled.offset / EdgeNoise.COMMON) - np.linalg.solve(whiten.T, pull)
+    constant = whiten @ np.append(np.zeros(6), -sampled.offset / common) - np.linalg.solve(whiten.T, pull)
     K = 0.5 * vec_derivative(T).T
     K[3:] *= 2.0
     straight = np.array([_diagonal(T, axis) for axis in (1, 2)]) * np.sqrt(0.5 * total[0, 0])
