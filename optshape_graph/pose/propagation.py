@@ -87,8 +87,9 @@ class EdgeGeometry(Value):
         along: (C, M) how fast it grows along the ring, outwards, metres per radian.
         across: (C, M) how fast it grows with the offset across the edge, metres per beam width.
         shift: (C, M) how much further out the last return lies than a single ray would, metres.
-        own: (C, M) variance across the edge that is each edge point's own, quantisation apart, m2.
-        lifted: (C, M) how far a standard deviation of its ring's elevation moves each edge point across its edge, metres.
+        own: (C, M) variance across the edge, quantisation apart, m2: each edge point's own, and its ring's.
+        lifted: (C, M) how far a standard deviation of its ring's elevation moves each edge point across its edge, in
+            metres.
         turned: (C, M) the same of its azimuth.
     """
 
@@ -175,6 +176,7 @@ def edge_geometry(problem: Problem, T: Floats, labels: Ints | None = None) -> Ed
     shift = (shift - problem.noise.offset) * across
     up, left = problem.noise.angle_sds(edges.ring)
     by_angle = direction @ R
+    lifted, turned = up * (by_angle * upward(p)).sum(axis=-1), left * (by_angle * leftward(p)).sum(axis=-1)
     return EdgeGeometry(
         labels=labels,
         direction=direction,
@@ -184,9 +186,11 @@ def edge_geometry(problem: Problem, T: Floats, labels: Ints | None = None) -> Ed
         shift=shift,
         own=problem.noise.options.flatness**2
         + (problem.noise.OWN * scatter * across) ** 2
-        + (edges.scatter * along) ** 2,
-        lifted=up * (by_angle * upward(p)).sum(axis=-1),
-        turned=left * (by_angle * leftward(p)).sum(axis=-1),
+        + (edges.scatter * along) ** 2
+        + lifted**2
+        + turned**2,
+        lifted=lifted,
+        turned=turned,
     )
 
 

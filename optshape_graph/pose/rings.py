@@ -204,7 +204,9 @@ def _edge_measurement(problem: Problem, modes: Modes, ends: Ends) -> tuple[Biase
         A, r = template_rows(
             boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]] + geometry.shift[0]
         )
-        own, outer = _outer_edges(problem.edges, sigma, geometry.own[0])
+        of_ring = geometry.lifted[0] ** 2 + geometry.turned[0] ** 2
+        sigma = np.sqrt(np.maximum(sigma**2 - of_ring, 0.1 * sigma**2))
+        own, outer = _outer_edges(problem.edges, sigma, geometry.own[0] - of_ring)
         offset = geometry.across[0] * problem.noise.common
         strains = ends.seen_strain * strain_columns(problem.target, geometry.labels[0], boundary, one.T_target_lidar[0])
         by_angle, angles = angle_errors(geometry.lifted[0], geometry.turned[0], problem.edges.ring)
