@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, Ints, Value, frozen, shortened
 from optshape_graph.errors import InputError
 
+ELEVATION_ERROR, AZIMUTH_ERROR = np.radians(0.1), np.radians(0.05)
+"""Standard deviations over rings of how far elevations and azimuths of an unknown sensor are off, rad."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SensorModel(Value):
@@ -22,8 +25,10 @@ class SensorModel(Value):
         range_noise: standard deviation of one range, metres.
         ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
         elevation_error: standard deviation over rings of how far elevations are off the table, rad. Makers state or are
-            found to keep a twentieth to a tenth of a degree.
-        azimuth_error: standard deviation over rings of how far a ring's azimuth is off, rad.
+            found to keep a twentieth to a tenth of a degree. None: a tenth; of a beam without width, which only a
+            simulator has, 0.
+        azimuth_error: standard deviation over rings of how far a ring's azimuth is off, rad. None: a twentieth of a
+            degree, or 0, likewise.
         beam_divergence: full angle of the beam, rad.
         beam_aperture: width of the beam where it leaves the sensor, metres.
         beam_crossing: where the beams cross, horizontal distance from the axis, metres; drivers report heights as if
@@ -55,8 +60,8 @@ class SensorModel(Value):
     azimuth_step: float | None = None
     range_noise: float = 0.01
     ring_bias: float = 0.01
-    elevation_error: float = np.radians(0.1)
-    azimuth_error: float = np.radians(0.05)
+    elevation_error: float | None = None
+    azimuth_error: float | None = None
     beam_divergence: float = 0.0
     beam_aperture: float = 0.0
     beam_crossing: float = 0.0
@@ -105,7 +110,7 @@ class SensorModel(Value):
             "min_range",
         ):
             value = getattr(self, field)
-            if not (np.isfinite(value) and value >= 0):
+            if value is not None and not (np.isfinite(value) and value >= 0):
                 raise InputError(f"sensor '{self.name}': {field} {value} is not a number >= 0")
         step = self.azimuth_step
         if step is not None and not (np.isfinite(step) and 0 < step < np.pi):
@@ -153,13 +158,18 @@ class SensorModel(Value):
     @property
     def elevation_sds(self) -> Floats:
         """(R,) standard deviation of each ring's elevation, rad."""
-        return self._by_ring(self.elevation_sd, self.elevation_error)
+        return self._by_ring(self.elevation_sd, self._angle(self.elevation_error, ELEVATION_ERROR))
 
     @property
     def azimuth_sds(self) -> Floats:
         """(R,) standard deviation of each ring's azimuth, rad: of its offset, and of when it fires."""
-        sd = self._by_ring(self.azimuth_sd, self.azimuth_error)
+        sd = self._by_ring(self.azimuth_sd, self._angle(self.azimuth_error, AZIMUTH_ERROR))
         return sd if self.firing_sd is None else np.hypot(sd, self.firing_sd * (self.azimuth_step or 0.0))
+
+    def _angle(self, stated: float | None, usual: float) -> float:
+        if stated is not None:
+            return stated
+        return usual if self.beam_divergence + self.beam_aperture > 0 else 0.0
 
     def _by_ring(self, values: Floats | None, of_all: float) -> Floats:
         return np.full(self.n_rings, of_all) if values is None else values

@@ -13,7 +13,7 @@ from optshape_graph.factors.measurement import TemplateMeasurement, template_row
 from optshape_graph.factors.static import AZIMUTH, ELEVATION, RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.scan import Scan
-from optshape_graph.sensor import SensorModel
+from optshape_graph.sensor import AZIMUTH_ERROR, ELEVATION_ERROR, SensorModel
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class EdgeNoise:
     def angle_sds(self, ring: Ints) -> tuple[Floats, Floats]:
         """Return the standard deviations (N,) of elevation and azimuth, rad, that rings (N,) are off the table by."""
         if self.angles is None:
-            return np.full(len(ring), SensorModel.elevation_error), np.full(len(ring), SensorModel.azimuth_error)
+            return np.full(len(ring), ELEVATION_ERROR), np.full(len(ring), AZIMUTH_ERROR)
         elevation, azimuth = np.array(self.angles)
         return elevation[ring], azimuth[ring]
 
