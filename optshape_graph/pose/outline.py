@@ -179,6 +179,10 @@ def coverage(scan: Scan, problem: Problem, T_target_lidar: Floats, angular_noise
     right, left = (ends[0] for ends in chords(sides, elevation, edges.reference_azimuth))
     slack = step + float(np.median(_reach(problem, ranges, angular_noise) / ranges))
     beyond_left, beyond_right = left - edges.azimuth[::2], edges.azimuth[1::2] - right
+    # A ring that looks elsewhere than the table says ends elsewhere, far from there where it runs along the edge.
+    at = edge_geometry(problem, T_target_lidar[None])
+    elsewhere = 2 * np.hypot(at.lifted[0], at.turned[0]) / np.maximum(np.abs(at.along[0]), 1e-6)
+    slack_left, slack_right = slack + elsewhere[::2], slack + elsewhere[1::2]
     azimuth, _ = relative_azimuth(scan.points)
     order = np.lexsort((azimuth, scan.ring))
     gaps = np.diff(azimuth[order])[np.diff(scan.ring[order]) == 0] / step
@@ -189,14 +193,14 @@ def coverage(scan: Scan, problem: Problem, T_target_lidar: Floats, angular_noise
         missing_rings = int(np.count_nonzero(high - low > step + slack))
     return Coverage(
         outside=outside,
-        missing_left=float(np.maximum(beyond_left - slack, 0.0).sum()) / step,
-        missing_right=float(np.maximum(beyond_right - slack, 0.0).sum()) / step,
+        missing_left=float(np.maximum(beyond_left - slack_left, 0.0).sum()) / step,
+        missing_right=float(np.maximum(beyond_right - slack_right, 0.0).sum()) / step,
         missing_inside=float(np.maximum(np.rint(gaps) - 1, 0).sum()),
         missing_rings=missing_rings,
         expected=float((np.maximum(left - right, 0.0) * edges.revolutions[::2]).sum()) / step,
         cut=max(
-            _at_one_azimuth(edges.azimuth[::2], beyond_left, step, slack),
-            _at_one_azimuth(edges.azimuth[1::2], beyond_right, step, slack),
+            _at_one_azimuth(edges.azimuth[::2], beyond_left, step, slack_left),
+            _at_one_azimuth(edges.azimuth[1::2], beyond_right, step, slack_right),
         ),
     )
 
@@ -216,7 +220,7 @@ NARROWEST = 5e-3
 """Width that a beam counts as at least where returns outside are measured by it, metres: a board isn't cut truer."""
 
 
-def _at_one_azimuth(azimuth: Floats, beyond: Floats, step: float, slack: float) -> int:
+def _at_one_azimuth(azimuth: Floats, beyond: Floats, step: float, slack: Floats) -> int:
     """Most ends within 1.5 steps of azimuth, the outline being a step and the beam away from each."""
     odd = np.sort(azimuth[np.abs(beyond) > step + slack])
     return int((np.searchsorted(odd, odd + 1.5 * step, side="right") - np.arange(len(odd))).max(initial=0))

@@ -66,7 +66,7 @@ def test_what_was_sampled_is_what_the_measurement_says(seed: int) -> None:
     measured = measure(scan, target, PoseOptions())
     sampled = compare_modes(find_candidates(measured), measured.problem, measured.scan, measured.edges).sampled
     assert sampled is not None
-    on_edges, _ = sampled_measurement(sampled, measured.on_plane)
+    on_edges, _ = sampled_measurement(sampled, measured.on_plane, measured.problem.noise.common)
     measurement = one_scan(on_edges + measured.on_plane).at(sampled.T_target_lidar)
     covariance = sampled.covariance[:6, :6]
     T = refine(measurement)
