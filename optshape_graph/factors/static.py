@@ -61,6 +61,9 @@ EDGE_OFFSET, OUTER_EDGE = "edge offset", "outer edge"
 """Kinds of errors of the sensor that the pose estimator knows: of rings' ranges, elevations and azimuths; of how far in
 the returns at all edges lie; and of where between two rings the target ends."""
 
+OF_RINGS = (RANGE_BIAS, ELEVATION, AZIMUTH)
+"""Kinds of errors that a ring of a sensor keeps, in all scans of it."""
+
 SURFACE = ("surface turned about y", "surface turned about z", "surface shifted along x")
 STRAIN = ("aspect", "shear")
 """Kinds of errors that are the target's own, in all scans of it: that its surface is not the plane x = 0 of its frame,

@@ -15,7 +15,7 @@ from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.paper import find_as_paper
 from optshape_graph.pose.result import Finding, PoseEstimate, Status
 from optshape_graph.pose.rings import find_by_rings
-from optshape_graph.scan import Scan, without_duplicates
+from optshape_graph.scan import Scan, put_right, without_duplicates
 from optshape_graph.se3 import inverse, inverse_covariance
 from optshape_graph.target import Target
 
@@ -56,7 +56,7 @@ def estimate_pose(
     for name, value, choices in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
         if value not in choices:
             raise InputError(f"{name} is {value!r}; expected one of {', '.join(map(repr, choices))}")
-    scan, duplicates = without_duplicates(scan)
+    scan, duplicates = without_duplicates(put_right(scan))
     if method == "paper":
         found = find_as_paper(scan, target, backend)
     elif scan.ring is None:
