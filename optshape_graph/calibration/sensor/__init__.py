@@ -1,0 +1,1 @@
+"""A LiDAR's own calibration."""

@@ -1,0 +1,193 @@
+"""A board in one revolution: its returns' plane, once and for all, and its ring ends as the solution has them.
+
+A ring's end says that the boundary lies in an interval along the ring. In the company of everything else, which is the
+pose and the errors that all revolutions share, it stands for a Gaussian (expectation propagation, see
+`pose.propagation`): a row that is linear in both, and made again as the company gets to know better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from optshape_graph._arrays import Floats, Ints, Value
+from optshape_graph.calibration.sensor.unknowns import (
+    EDGES_AT_RANGE,
+    RANGE_BY_EDGES_SD,
+    SIZE_SD,
+    board_errors,
+    bow,
+)
+from optshape_graph.factors import EDGE_OFFSET, BiasedMeasurement, SharedError, template_rows
+from optshape_graph.pose.noise import angle_errors, plane_measurement
+from optshape_graph.pose.options import PoseOptions
+from optshape_graph.pose.propagation import (
+    DAMPING,
+    EdgeGeometry,
+    Problem,
+    edge_geometry,
+    residual_intervals,
+    update_sites,
+)
+from optshape_graph.pose.rings import measure
+from optshape_graph.scan import Scan
+from optshape_graph.se3 import vec, vec_derivative
+from optshape_graph.target import Target
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Seen(Value):
+    """A board in one revolution, and the Gaussians that its ring ends stand for.
+
+    Attributes:
+        scan: its returns.
+        target: the board.
+        placement: number of the placement that it belongs to.
+        problem: its ring ends, whatever the pose.
+        plane: its returns against its plane, with the errors of rings and of the board.
+        noise: standard deviation of ranges within rings, metres.
+        labels: (M,) edge of each ring end.
+        precision: (M,) of each Gaussian across its edge, 1/m2.
+        information: (M,) its mean times its precision, 1/m.
+    """
+
+    scan: Scan
+    target: Target
+    placement: int
+    problem: Problem
+    plane: BiasedMeasurement
+    noise: float
+    labels: Ints
+    precision: Floats
+    information: Floats
+
+    @classmethod
+    def of(
+        cls, scan: Scan, target: Target, placement: int, T_target_lidar: Floats, options: PoseOptions = PoseOptions()
+    ) -> Seen:
+        """Measure a board in one revolution.
+
+        Args:
+            scan: its returns, with rings, the sensor known.
+            target: the board.
+            placement: number of the placement.
+            T_target_lidar: (4, 4) about where it is.
+            options: of the estimate of poses.
+
+        Raises:
+            EstimationError: the returns span no plane.
+        """
+        found = measure(scan, target, options)
+        usual, factor = found.off_plane.usual, found.off_plane.noise / found.off_plane.file_noise
+        assert found.scan.ring is not None
+        noise = found.problem.noise
+        returns = found.returns.widened(factor, 1.0).select(usual)
+        returns = returns.with_angles(found.plane.axes[0], found.scan.ring[usual], noise)
+        yz = (returns.points @ T_target_lidar[:3, :3].T + T_target_lidar[:3, 3])[:, 1:]
+        bent = -bow(target, yz) / returns.sigma[:, None]
+        returns = replace(
+            returns,
+            errors=(*returns.errors, *board_errors(target)[1:]),
+            bias=np.hstack([returns.bias, bent]),
+        )
+        problem = replace(found.problem, edges=found.edges)
+        cosine = float(
+            np.abs(found.plane.axes[0] @ scan.points.mean(axis=0)) / np.linalg.norm(scan.points.mean(axis=0))
+        )
+        g = edge_geometry(problem, T_target_lidar[None])
+        precision = 1.0 / (_own(g) + g.along[0] ** 2 * problem.edges.width**2 / 12)
+        information = -precision * problem.edges.middle * g.along[0]
+        return cls(
+            found.scan, target, placement, problem, plane_measurement(returns), found.off_plane.noise / cosine,
+            g.labels[0], precision, information,
+        )  # fmt: skip
+
+    def measurement(self, T_target_lidar: Floats) -> BiasedMeasurement:
+        """Return plane and ring ends, linear in the errors, at a pose (4, 4)."""
+        rows = self.rows(T_target_lidar)
+        root = np.sqrt(self.precision)
+        constant = rows.constant - self.information / self.precision
+        on_edges = BiasedMeasurement.from_rows(
+            root[:, None] * rows.A, root[:, None] * rows.B, root * constant, T_target_lidar, rows.errors
+        )
+        return on_edges + self.plane
+
+    def rows(self, T_target_lidar: Floats) -> EdgeRows:
+        """Return the residuals of the ring ends across their edges at a pose (4, 4), unweighted."""
+        problem, target = self.problem, self.target
+        edges, g = problem.edges, edge_geometry(problem, T_target_lidar[None], self.labels[None])
+        R, m = T_target_lidar[:3, :3], g.direction[0]
+        A, constant = template_rows(edges.points, m, target.offsets[self.labels] + g.shift[0])
+        middle = edges.points.mean(axis=0)
+        ray = R @ (middle / np.linalg.norm(middle))
+        yz = (edges.points @ R.T + T_target_lidar[:3, 3])[:, 1:]
+        by_angle, angles = angle_errors(g.lifted[0], g.turned[0], edges.ring)
+        B = np.column_stack(
+            [
+                by_angle,
+                g.across[0] * problem.noise.common,
+                RANGE_BY_EDGES_SD * (m @ ray),
+                -SIZE_SD * target.offsets[self.labels] / target.circumradius,
+                -m[:, :1] * bow(target, yz),
+            ]
+        )
+        errors = (*angles, SharedError(EDGE_OFFSET), SharedError(EDGES_AT_RANGE), *board_errors(target))
+        return EdgeRows(A, B, constant, errors, g)
+
+    def updated(self, T_target_lidar: Floats, place: Ints, beta: Floats, covariance: Floats) -> Seen:
+        """Return it with its Gaussians made again.
+
+        Args:
+            T_target_lidar: (4, 4) of the solution.
+            place: numbers, among the errors of the solution, of those of `rows`.
+            beta: (k,) all errors of the solution.
+            covariance: (6 + k, 6 + k) of the right perturbation of the pose, and of the errors.
+        """
+        rows = self.rows(T_target_lidar)
+        g = rows.geometry
+        J = np.zeros((len(rows.A), len(covariance)))
+        J[:, :6] = rows.A @ vec_derivative(T_target_lidar)
+        J[:, 6 + place] = rows.B
+        prediction = rows.A @ vec(T_target_lidar) + rows.constant + rows.B @ beta[place]
+        variance = ((J @ covariance) * J).sum(axis=1)
+        intervals = residual_intervals(g.along, self.problem)
+        lower, upper, log_density = (part[:, 0] for part in intervals)
+        site = update_sites(
+            prediction, variance, _own(g), (lower, upper, log_density), self.precision, self.information
+        )
+        precision = self.precision + DAMPING * (site.precision - self.precision)
+        information = self.information + DAMPING * (site.information - self.information)
+        # Where a ring leaves by another edge now, its Gaussian begins anew.
+        labels = edge_geometry(self.problem, T_target_lidar[None]).labels[0]
+        moved = labels != self.labels
+        if moved.any():
+            g = edge_geometry(self.problem, T_target_lidar[None], labels[None])
+            fresh = 1.0 / (_own(g) + g.along[0] ** 2 * self.problem.edges.width**2 / 12)
+            precision = np.where(moved, fresh, precision)
+            information = np.where(moved, -fresh * self.problem.edges.middle * g.along[0], information)
+        return replace(self, labels=labels, precision=precision, information=information)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EdgeRows(Value):
+    """Residuals A z + B beta + constant of ring ends across their edges, metres.
+
+    Attributes:
+        A: (M, 12).
+        B: (M, k).
+        constant: (M,) metres.
+        errors: (k,) what beta is.
+        geometry: of the ring ends.
+    """
+
+    A: Floats
+    B: Floats
+    constant: Floats
+    errors: tuple[SharedError, ...]
+    geometry: EdgeGeometry
+
+
+def _own(g: EdgeGeometry) -> Floats:
+    """(M,) variance of each ring end about its residual, what its ring's angles add left out, m2."""
+    return np.asarray(g.own[0] - g.lifted[0] ** 2 - g.turned[0] ** 2)
