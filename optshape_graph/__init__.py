@@ -6,9 +6,9 @@ scan, `factors` makes GTSAM factors of estimates, `graph` solves several scans a
 `mapping` build on it.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from optshape_graph._lazy import lazy
 from optshape_graph.errors import EstimationError, InputError, MissingExtraError, OptshapeError, UnobservableError
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
@@ -73,14 +73,4 @@ __all__ = [
     "save_map",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'optshape_graph' has no attribute '{name}'")
-    found = getattr(import_module(f"optshape_graph.{_HOME[name]}"), name)
-    globals()[name] = found
-    return found
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOME})
+__getattr__, __dir__ = lazy(__name__, _HOME)

@@ -22,6 +22,9 @@ LEFT, RIGHT = 1, -1
 UP, DOWN = 2, -2
 """Returns of the highest and of the lowest ring, beyond which the next ring has none."""
 
+KNOWN_LOST = (10.0, 0.4)
+"""Rings that count as tried before a scan, and as lost: one in 25, as on recordings."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EdgePoints(Value):
@@ -96,6 +99,13 @@ class EdgePoints(Value):
     def n_rings(self) -> int:
         """Number of rings that hit the target."""
         return len(self) // 2
+
+    @property
+    def lost_rings(self) -> float:
+        """Share of rings that return nothing though they meet the target, from those between the lowest and highest."""
+        between = self.ring[-1] - self.ring[0] + 1
+        tried, lost = KNOWN_LOST
+        return float((between - self.n_rings + lost) / (between + tried))
 
     def outward(self, normal: Floats) -> Floats:
         """Motion of each point in the target's plane, away from its inside, per radian of azimuth (or elevation).

@@ -213,6 +213,13 @@ class SensorModel(Value):
         return np.where(nearer_below, below, above)
 
 
+def angle_sds(sensor: SensorModel | None, ring: Ints) -> tuple[Floats, Floats]:
+    """Return standard deviations (N,) of elevations and of azimuths of rings (N,), rad; sensor None: an unknown one."""
+    if sensor is None or ring.max(initial=0) >= sensor.n_rings:
+        return np.full(len(ring), ELEVATION_ERROR), np.full(len(ring), AZIMUTH_ERROR)
+    return sensor.elevation_sds[ring], sensor.azimuth_sds[ring]
+
+
 _BY_RING = {
     "azimuth_offsets": "azimuth offsets",
     "range_bias": "range biases",

@@ -79,7 +79,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
         table.add_column(cell(column), justify="right" if k else "left", overflow="fold", no_wrap=bool(k))
     for row in rows:
         table.add_row(*map(cell, row))
-    console = Console(markup=False, highlight=False)
+    console = Console(markup=False, emoji=False, highlight=False)
     if not console.is_terminal:
         console.width = _FILE_WIDTH
     console.print(table)

@@ -26,51 +26,97 @@ One scan of a square target, its edge points and their edges known, on the pose 
 
 In a larger graph `SummaryFactor` links T_world_target and T_world_lidar, `VertexFactor` adds the vertices,
 `SensorParameterFactor` an inset or a range bias, and `ShapeFactor` leaves the shape itself free.
+
+Names are imported when they are first used: measurements need no GTSAM.
 """
 
-from optshape_graph.factors._callback import CheckedFactor
-from optshape_graph.factors.sensor_parameters import (
-    AugmentedMeasurement,
-    SensorParameterFactor,
-    azimuth_directions,
-    edge_motion_rows,
-    plane_motion_rows,
-    range_directions,
-)
-from optshape_graph.factors.measurement import Measured, TemplateMeasurement, edge_rows, plane_rows, refine, template_rows
+from typing import TYPE_CHECKING
+
+from optshape_graph._lazy import lazy
 from optshape_graph.se3 import inverse_covariance
-from optshape_graph.factors.shape import (
-    FreeVertexFactor,
-    ShapeFactor,
-    ShapeMeasurement,
-    TemplatePrior,
-    VertexFactor,
-    shape_rows,
-)
-from optshape_graph.factors.static import (
-    AZIMUTH,
-    EDGE_OFFSET,
-    ELEVATION,
-    OF_RINGS,
-    RANGE_BIAS,
-    BiasedMeasurement,
-    SharedError,
-    fuse_static,
-    ring_bias_columns,
-)
-from optshape_graph.factors.summary import LandmarkFactor, Summary, SummaryFactor, summarise
-from optshape_graph.factors.template import (
-    PointToEdgeFactor,
-    PointToPlaneFactor,
-    TemplateCallbackFactor,
-    TemplateFactor,
-)
+
+if TYPE_CHECKING:
+    from optshape_graph.factors._callback import CheckedFactor
+    from optshape_graph.factors.sensor_parameters import (
+        AugmentedMeasurement,
+        SensorParameterFactor,
+        azimuth_directions,
+        edge_motion_rows,
+        plane_motion_rows,
+        range_directions,
+    )
+    from optshape_graph.factors.measurement import Measured, TemplateMeasurement, edge_rows, plane_rows, refine, template_rows
+    from optshape_graph.factors.shape import (
+        FreeVertexFactor,
+        ShapeFactor,
+        ShapeMeasurement,
+        TemplatePrior,
+        VertexFactor,
+        shape_rows,
+    )
+    from optshape_graph.factors.static import (
+        EDGE_OFFSET,
+        ELEVATION,
+        OF_RINGS,
+        AZIMUTH,
+        RANGE_BIAS,
+        BiasedMeasurement,
+        SharedError,
+        fuse_static,
+        ring_bias_columns,
+    )
+    from optshape_graph.factors.summary import LandmarkFactor, Summary, SummaryFactor, summarise
+    from optshape_graph.factors.template import (
+        PointToEdgeFactor,
+        PointToPlaneFactor,
+        TemplateCallbackFactor,
+        TemplateFactor,
+    )
+
+_HOME = {
+    "AugmentedMeasurement": "sensor_parameters",
+    "BiasedMeasurement": "static",
+    "CheckedFactor": "_callback",
+    "EDGE_OFFSET": "static",
+    "ELEVATION": "static",
+    "OF_RINGS": "static",
+    "AZIMUTH": "static",
+    "FreeVertexFactor": "shape",
+    "LandmarkFactor": "summary",
+    "Measured": "measurement",
+    "PointToEdgeFactor": "template",
+    "PointToPlaneFactor": "template",
+    "RANGE_BIAS": "static",
+    "SensorParameterFactor": "sensor_parameters",
+    "ShapeFactor": "shape",
+    "ShapeMeasurement": "shape",
+    "SharedError": "static",
+    "Summary": "summary",
+    "SummaryFactor": "summary",
+    "TemplateCallbackFactor": "template",
+    "TemplateFactor": "template",
+    "TemplateMeasurement": "measurement",
+    "TemplatePrior": "shape",
+    "VertexFactor": "shape",
+    "azimuth_directions": "sensor_parameters",
+    "edge_motion_rows": "sensor_parameters",
+    "edge_rows": "measurement",
+    "fuse_static": "static",
+    "plane_motion_rows": "sensor_parameters",
+    "plane_rows": "measurement",
+    "range_directions": "sensor_parameters",
+    "refine": "measurement",
+    "ring_bias_columns": "static",
+    "shape_rows": "shape",
+    "summarise": "summary",
+    "template_rows": "measurement",
+}
 
 __all__ = [
-    "AZIMUTH",
     "EDGE_OFFSET",
     "ELEVATION",
     "OF_RINGS",
+    "AZIMUTH",
     "RANGE_BIAS",
     "AugmentedMeasurement",
     "BiasedMeasurement",
@@ -105,3 +151,5 @@ __all__ = [
     "summarise",
     "template_rows",
 ]
+
+__getattr__, __dir__ = lazy(__name__, _HOME)

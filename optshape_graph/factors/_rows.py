@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from typing import TYPE_CHECKING
 
-import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
+
+if TYPE_CHECKING:
+    import gtsam
 
 
 def checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
@@ -85,5 +88,7 @@ def in_plane(vectors: Floats) -> Floats:
 
 def gaussian(S: Floats, loss: gtsam.noiseModel.mEstimator.Base | None = None) -> gtsam.noiseModel.Base:
     """Return the noise of square root information S, which may be singular, with a robust loss if one is given."""
+    import gtsam  # measurements alone, and so the estimate of a pose, do without
+
     noise = gtsam.noiseModel.Gaussian.SqrtInformation(S, False)
     return noise if loss is None else gtsam.noiseModel.Robust.Create(loss, noise)

@@ -23,7 +23,7 @@ from operator import add
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, Value, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, marginalised, root, triangular
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
@@ -253,6 +253,28 @@ class BiasedMeasurement(Value):
         unit[:, :k] *= sigmas
         R = triangular(np.vstack([np.eye(k, k + 13), unit]))
         return TemplateMeasurement.from_stack(R[k:, k:], self.n_rows, self.T_target_lidar)
+
+    def of_one_scan(self) -> TemplateMeasurement:
+        """Return the measurement of one scan alone: the elevations of its rings count as exact.
+
+        What an error of theirs does to one scan is within what its ring ends scatter; of many it would be the mean's
+        error.
+        """
+        return self.marginal(1.0)
+
+
+def angle_errors(by_elevation: Floats, by_azimuth: Floats, ring: Ints) -> tuple[Floats, tuple[SharedError, ...]]:
+    """Return what errors of rings' elevations and azimuths do to rows, as columns (N, 2 R), and the errors (2 R,).
+
+    Args:
+        by_elevation: (N,) how far a standard deviation of its ring's elevation moves each row, in the rows' unit.
+        by_azimuth: (N,) the same of its azimuth.
+        ring: (N,) of each row.
+    """
+    rings, column = np.unique(ring, return_inverse=True)
+    own = column[:, None] == np.arange(len(rings))
+    columns = np.hstack([by_elevation[:, None] * own, by_azimuth[:, None] * own])
+    return columns, tuple(SharedError(kind, ring=int(k)) for kind in (ELEVATION, AZIMUTH) for k in rings)
 
 
 def fuse_static(measurements: Sequence[BiasedMeasurement], sigma: ArrayLike) -> TemplateMeasurement:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 from optshape_graph.errors import InputError
+from optshape_graph.target import FLATNESS
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class PoseOptions:
         InputError: a value that is not positive, or a span that is empty.
     """
 
-    flatness: float = 1e-3
+    flatness: float = FLATNESS
     lost_ends: float = 0.1
     lost_ends_of_rays: float = 0.02
     odd_ends: float = 0.01

@@ -282,25 +282,25 @@ def _on_cluster(
     security: dict[str, Any] = {}
     if tls is not None:
         authority, certificate, key = map(str, tls)
-        security["security"] = Security(  # type: ignore[no-untyped-call]
+        security["security"] = Security(
             tls_ca_file=authority, tls_client_cert=certificate, tls_client_key=key, require_encryption=True
         )
     try:
-        client = Client(address, timeout=SCHEDULER_TIMEOUT_S, **security)  # type: ignore[no-untyped-call]  # no stubs
+        client = Client(address, timeout=SCHEDULER_TIMEOUT_S, **security)
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"no Dask scheduler answers at {address} ({error})") from error
     with client:
         remaining, numbers = iter(tasks), dict[Any, int]()
-        finished = as_completed(raise_errors=False)  # type: ignore[no-untyped-call]
+        finished = as_completed(raise_errors=False)
 
         def submit() -> None:
             task = next(remaining, None)
             if task is not None:
                 future = client.submit(OneThread(function), task[1], pure=False, retries=1)
                 numbers[future.key] = task[0]
-                finished.add(future)  # type: ignore[no-untyped-call]
+                finished.add(future)
 
-        threads = sum(client.nthreads().values()) or 1  # type: ignore[no-untyped-call]
+        threads = sum(client.nthreads().values()) or 1
         for _ in range(AHEAD * threads):
             submit()
         for future in finished:

@@ -153,9 +153,9 @@ def test_a_target_alone_is_as_good_as_a_list() -> None:
 def test_bad_requests() -> None:
     scan = scan_of(VLP32C, []).scan
     with pytest.raises(InputError, match="expected a Target or a list of them, found str"):
-        detect_targets(scan, "paper")  # type: ignore[arg-type]
+        detect_targets(scan, "paper")
     with pytest.raises(InputError, match="expected a Target or a list of them, found int in the list"):
-        detect_targets(scan, [PAPER, 1])  # type: ignore[list-item]
+        detect_targets(scan, [PAPER, 1])
     with pytest.raises(InputError, match="no targets"):
         detect_targets(scan, [])
     with pytest.raises(InputError, match="different names"):

@@ -141,7 +141,7 @@ def assert_same_map(found: dict[str, object], expected: dict[str, object]) -> No
     """Assert that two maps are equal to 1e-9."""
     assert found.keys() == expected.keys()
     for key in ("landmarks", "trajectory"):
-        for a, b in zip(found[key], expected[key], strict=True):  # type: ignore[arg-type]  # lists
+        for a, b in zip(found[key], expected[key], strict=True):
             for field, value in b.items():
                 if isinstance(value, list):
                     np.testing.assert_allclose(a[field], value, rtol=0, atol=1e-9)

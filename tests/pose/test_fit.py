@@ -123,7 +123,7 @@ def test_a_doubtful_pose_makes_no_factor() -> None:
     assert found.status == "doubtful"
     assert not found.usable
     with pytest.raises(InputError, match="doubtful"):
-        SummaryFactor(found, 0, 1)  # type: ignore[arg-type]
+        SummaryFactor(found, 0, 1)
     with pytest.raises(InputError, match="doubtful"):
         Observation.of("scan", found)
 

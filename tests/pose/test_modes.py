@@ -8,9 +8,9 @@ from optshape_graph.evaluation.simulation import SimulationSweep, run_simulation
 from optshape_graph.factors.measurement import refine
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import PoseOptions, estimate_pose, modes
-from optshape_graph.pose.modes import compare_modes
-from optshape_graph.pose.noise import one_scan
-from optshape_graph.pose.rings import find_candidates, measure, sampled_measurement
+from optshape_graph.pose.evidence import measure
+from optshape_graph.pose.modes import compare_modes, find_candidates
+from optshape_graph.pose.rings import sampled_measurement
 from optshape_graph.se3 import difference, inverse, rotation_vector
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 from tests.pose.clouds import errors
@@ -63,11 +63,11 @@ def test_what_was_sampled_is_what_the_measurement_says(seed: int) -> None:
     Samples may scatter more than the returns of the plane allow, by chance: up to 25 %, in one direction.
     """
     scan, target = far_scan(seed)
-    measured = measure(scan, target, PoseOptions())
-    sampled = compare_modes(find_candidates(measured), measured.problem, measured.scan, measured.edges).sampled
+    evidence = measure(scan, target, PoseOptions())
+    sampled = compare_modes(find_candidates(evidence), evidence).sampled
     assert sampled is not None
-    on_edges, _ = sampled_measurement(sampled, measured.on_plane, measured.problem.noise.common)
-    measurement = one_scan(on_edges + measured.on_plane).at(sampled.T_target_lidar)
+    on_edges, _ = sampled_measurement(sampled, evidence.on_plane, evidence.problem.beam.common)
+    measurement = (on_edges + evidence.on_plane).of_one_scan().at(sampled.T_target_lidar)
     covariance = sampled.covariance[:6, :6]
     T = refine(measurement)
     xi = difference(sampled.T_target_lidar, T)

@@ -10,7 +10,7 @@ from optshape_graph import EstimationError, InputError, Scan
 from optshape_graph.edges import extract_edge_points
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import PoseOptions, certify, estimate_pose
-from optshape_graph.pose.likelihood import Firings
+from optshape_graph.pose.firings import Firings
 from optshape_graph.se3 import inverse
 from optshape_graph.simulation import IDEAL, pose_from_rpy, simulate_target
 from tests.pose.clouds import errors, simulated
@@ -81,7 +81,10 @@ def test_lost_ends_of_rays() -> None:
     scan = simulate_target(PAPER, EXACT, T, noise=IDEAL)
     corners = (PAPER.vertices @ T[:3, :3].T + T[:3, 3])[None]
     for share in (0.02, 0.2):
-        exact = Firings.of(extract_edge_points(scan), scan, PoseOptions(lost_ends_of_rays=share))
+        options = PoseOptions(lost_ends_of_rays=share)
+        exact = Firings.of(
+            scan, extract_edge_points(scan), options.flatness, options.lost_ends_of_rays, options.lost_span
+        )
         lost = replace(exact, left=exact.left - np.eye(len(exact.left))[0])
         price = exact.log_likelihood(corners)[0] - lost.log_likelihood(corners)[0]
         assert price == pytest.approx(np.log((1 - share + share / 4) / (share / 4)), abs=0.01)
@@ -126,7 +129,7 @@ def test_ambiguity_margin() -> None:
 
 
 def _margin(scan: Scan, **changed: float) -> float:
-    return estimate_pose(scan, PAPER, options=PoseOptions(**changed)).ambiguity.margin  # type: ignore[arg-type]
+    return estimate_pose(scan, PAPER, options=PoseOptions(**changed)).ambiguity.margin
 
 
 def test_unobservable_sd() -> None:
@@ -161,17 +164,17 @@ def test_certified_gap() -> None:
 )
 def test_bad_options_are_refused(values: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        PoseOptions(**values)  # type: ignore[arg-type]
+        PoseOptions(**values)
 
 
 def test_methods_and_backends_that_do_not_exist_are_refused() -> None:
     scan, _ = simulated(6.0, seed=5)
     with pytest.raises(InputError, match="method is 'best'; expected one of 'global', 'paper'"):
-        estimate_pose(scan, PAPER, method="best")  # type: ignore[arg-type]
+        estimate_pose(scan, PAPER, method="best")
     with pytest.raises(InputError, match="backend is 'mosek'; expected one of 'closed-form', 'clarabel', 'cvxpy'"):
-        estimate_pose(scan, PAPER, backend="mosek")  # type: ignore[arg-type]
+        estimate_pose(scan, PAPER, backend="mosek")
     with pytest.raises(InputError, match="backend is 'mosek'"):
-        certify(estimate_pose(scan, PAPER).measurement, np.eye(4), 1.0, "mosek")  # type: ignore[arg-type]
+        certify(estimate_pose(scan, PAPER).measurement, np.eye(4), 1.0, "mosek")
 
 
 def test_largest_sds() -> None:

@@ -28,7 +28,7 @@ def rays_of(scan: Scan) -> Rays:
     ends = extract_edge_points(scan)
     ranges = np.linalg.norm(ends.points[::2], axis=1)
     beam = (VLP16.beam_aperture + VLP16.beam_divergence * ranges) / ranges
-    return Rays.of(scan, ends, beam, 2 * PAPER.circumradius, ODD, LOST_RING)
+    return replace(Rays.of(scan, ends, beam, 2 * PAPER.circumradius, ODD), lost_ring=LOST_RING)
 
 
 def corners_at(T: np.ndarray) -> np.ndarray:

@@ -79,7 +79,7 @@ def counts(
             turn, moved = np.degrees(np.linalg.norm(error[:3])), np.linalg.norm(error[3:])
             found["wrong"] += bool(square > THREE_SIGMA or turn > 10)
             found["gross"] += bool(turn > 10 or moved > 0.15)
-            found["nees"] += square / 6  # type: ignore[assignment]  # a sum that is not whole
+            found["nees"] += square / 6
     return found
 
 

@@ -1,10 +1,10 @@
-"""The graph of a sensor's calibration: poses of boards and the errors that all revolutions share, in turns with the ends.
+"""The graph of a sensor's calibration: poses of boards, and the errors that all revolutions share.
 
 H_p   T_target_lidar of placement p
 B     all shared errors, in prior standard deviations
 
-The engine solves for both; the Gaussians that ring ends stand for are then made again in the company of the solution, and
-so on until neither changes.
+The engine solves for both; the Gaussians that ring ends stand for are then made again in the company of the solution,
+and so on until neither changes.
 """
 
 from __future__ import annotations
@@ -25,6 +25,9 @@ from optshape_graph.graph import solve as minimise
 
 ROUNDS = 30
 """Turns at most."""
+
+MOVING = 6
+"""Turns in which a ring may come to leave by another edge: near a vertex it could go on to change its mind."""
 
 LOOSE = gtsam.noiseModel.Isotropic.Sigma(6, 1.0)
 """Of a pose about where it starts, rad and metres: rings that end on two parallel sides alone leave it open."""
@@ -86,7 +89,7 @@ def solve(seen: Sequence[Seen], start: Mapping[int, Floats], known: Known | None
         EstimationError: the solution is not found.
     """
     known = Known.nothing() if known is None else known
-    poses, others = dict(start), known.values
+    poses = dict(start)
     beta, settled = np.zeros(0), False
     for turn in range(1, ROUNDS + 1):
         term = SharedErrors.of(
@@ -95,7 +98,7 @@ def solve(seen: Sequence[Seen], start: Mapping[int, Floats], known: Known | None
             [B(0)] * len(seen),
         )
         values = gtsam.Values()
-        values.insert(others)
+        values.insert(known.values)
         factors = gtsam.NonlinearFactorGraph(known.factors)
         for p, T in poses.items():
             values.insert(H(p), gtsam.Pose3(T))
@@ -108,23 +111,21 @@ def solve(seen: Sequence[Seen], start: Mapping[int, Floats], known: Known | None
             raise EstimationError("the calibration graph has no finite minimum")
         poses = {p: solution.pose(H(p)) for p in poses}
         beta = np.asarray(solution.values.atVector(B(0)))
-        others = gtsam.Values(known.values)
-        for key in known.values.keys():
-            others.update(key, solution.values.atPose3(key)) if solution.size(key) == 6 else others.update(
-                key, solution.values.atVector(key)
-            )
         system = solution.system
         everything = np.linalg.inv(system.information.toarray())
         own = system.index([B(0)])
         place = {error: k for k, error in enumerate(errors)}
         covariance = everything[np.ix_(own, own)]
-        settled = turn > 3 and bool(np.max(np.abs(beta - before) / np.sqrt(np.diag(covariance))) < SETTLED)
+        step = np.abs(beta - before) / np.sqrt(np.diag(covariance))
+        settled = turn > 3 and bool(step.max() < SETTLED)
         if settled:
             break
         again = []
         for one in seen:
             index = np.concatenate([system.index([H(one.placement)]), own])
             where = np.array([place[error] for error in one.rows(poses[one.placement]).errors])
-            again.append(one.updated(poses[one.placement], where, beta, everything[np.ix_(index, index)]))
+            again.append(
+                one.updated(poses[one.placement], where, beta, everything[np.ix_(index, index)], turn < MOVING)
+            )
         seen = again
     return Joint(poses, errors, beta, covariance, tuple(seen), turn, settled)

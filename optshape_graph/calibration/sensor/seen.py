@@ -20,17 +20,16 @@ from optshape_graph.calibration.sensor.unknowns import (
     bow,
 )
 from optshape_graph.factors import EDGE_OFFSET, BiasedMeasurement, SharedError, template_rows
-from optshape_graph.pose.noise import angle_errors, plane_measurement
+from optshape_graph.factors.plane_returns import plane_measurement
+from optshape_graph.factors.static import angle_errors
+from optshape_graph.pose.ends import EdgeGeometry, Problem
+from optshape_graph.pose.evidence import measure
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.propagation import (
     DAMPING,
-    EdgeGeometry,
-    Problem,
-    edge_geometry,
     residual_intervals,
     update_sites,
 )
-from optshape_graph.pose.rings import measure
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import vec, vec_derivative
 from optshape_graph.target import Target
@@ -79,11 +78,10 @@ class Seen(Value):
             EstimationError: the returns span no plane.
         """
         found = measure(scan, target, options)
-        usual, factor = found.off_plane.usual, found.off_plane.noise / found.off_plane.file_noise
+        usual, factor = found.residuals.usual, found.residuals.noise / found.residuals.file_noise
         assert found.scan.ring is not None
-        noise = found.problem.noise
         returns = found.returns.widened(factor, 1.0).select(usual)
-        returns = returns.with_angles(found.plane.axes[0], found.scan.ring[usual], noise)
+        returns = returns.with_angles(found.plane.axes[0], found.scan.ring[usual], found.scan.sensor)
         yz = (returns.points @ T_target_lidar[:3, :3].T + T_target_lidar[:3, 3])[:, 1:]
         bent = -bow(target, yz) / returns.sigma[:, None]
         returns = replace(
@@ -91,15 +89,15 @@ class Seen(Value):
             errors=(*returns.errors, *board_errors(target)[1:]),
             bias=np.hstack([returns.bias, bent]),
         )
-        problem = replace(found.problem, edges=found.edges)
+        problem = found.problem
         cosine = float(
             np.abs(found.plane.axes[0] @ scan.points.mean(axis=0)) / np.linalg.norm(scan.points.mean(axis=0))
         )
-        g = edge_geometry(problem, T_target_lidar[None])
+        g = problem.geometry(T_target_lidar[None])
         precision = 1.0 / (_own(g) + g.along[0] ** 2 * problem.edges.width**2 / 12)
         information = -precision * problem.edges.middle * g.along[0]
         return cls(
-            found.scan, target, placement, problem, plane_measurement(returns), found.off_plane.noise / cosine,
+            found.scan, target, placement, problem, plane_measurement(returns), found.residuals.noise / cosine,
             g.labels[0], precision, information,
         )  # fmt: skip
 
@@ -116,7 +114,7 @@ class Seen(Value):
     def rows(self, T_target_lidar: Floats) -> EdgeRows:
         """Return the residuals of the ring ends across their edges at a pose (4, 4), unweighted."""
         problem, target = self.problem, self.target
-        edges, g = problem.edges, edge_geometry(problem, T_target_lidar[None], self.labels[None])
+        edges, g = problem.edges, problem.geometry(T_target_lidar[None], self.labels[None])
         R, m = T_target_lidar[:3, :3], g.direction[0]
         A, constant = template_rows(edges.points, m, target.offsets[self.labels] + g.shift[0])
         middle = edges.points.mean(axis=0)
@@ -126,7 +124,7 @@ class Seen(Value):
         B = np.column_stack(
             [
                 by_angle,
-                g.across[0] * problem.noise.common,
+                g.across[0] * problem.beam.common,
                 RANGE_BY_EDGES_SD * (m @ ray),
                 -SIZE_SD * target.offsets[self.labels] / target.circumradius,
                 -m[:, :1] * bow(target, yz),
@@ -135,7 +133,7 @@ class Seen(Value):
         errors = (*angles, SharedError(EDGE_OFFSET), SharedError(EDGES_AT_RANGE), *board_errors(target))
         return EdgeRows(A, B, constant, errors, g)
 
-    def updated(self, T_target_lidar: Floats, place: Ints, beta: Floats, covariance: Floats) -> Seen:
+    def updated(self, T_target_lidar: Floats, place: Ints, beta: Floats, covariance: Floats, relabel: bool) -> Seen:
         """Return it with its Gaussians made again.
 
         Args:
@@ -143,6 +141,7 @@ class Seen(Value):
             place: numbers, among the errors of the solution, of those of `rows`.
             beta: (k,) all errors of the solution.
             covariance: (6 + k, 6 + k) of the right perturbation of the pose, and of the errors.
+            relabel: whether rings may leave by another edge now.
         """
         rows = self.rows(T_target_lidar)
         g = rows.geometry
@@ -158,11 +157,13 @@ class Seen(Value):
         )
         precision = self.precision + DAMPING * (site.precision - self.precision)
         information = self.information + DAMPING * (site.information - self.information)
+        if not relabel:
+            return replace(self, precision=precision, information=information)
         # Where a ring leaves by another edge now, its Gaussian begins anew.
-        labels = edge_geometry(self.problem, T_target_lidar[None]).labels[0]
+        labels = self.problem.geometry(T_target_lidar[None]).labels[0]
         moved = labels != self.labels
         if moved.any():
-            g = edge_geometry(self.problem, T_target_lidar[None], labels[None])
+            g = self.problem.geometry(T_target_lidar[None], labels[None])
             fresh = 1.0 / (_own(g) + g.along[0] ** 2 * self.problem.edges.width**2 / 12)
             precision = np.where(moved, fresh, precision)
             information = np.where(moved, -fresh * self.problem.edges.middle * g.along[0], information)

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from optshape_graph.factors import TemplateMeasurement
 from optshape_graph.io import load_target
 from optshape_graph.pose import certify, estimate_pose, solve_relaxation
-from optshape_graph.pose.certificate import eliminate_translation, lower_bound, project_rotation
-from optshape_graph.pose.dual import closed_form_bounds
+from optshape_graph.pose.certificate import closed_form_bounds, eliminate_translation, lower_bound, project_rotation
 from tests.pose.clouds import recorded_cases, reference_cases, simulated
 from tests.pose.test_certificate import random_measurement
 from tests.shared import needs_shared

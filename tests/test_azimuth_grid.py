@@ -8,10 +8,10 @@ import pytest
 from scipy.stats import kstest
 
 from optshape_graph import Scan, SensorModel
+from optshape_graph.azimuth_grid import at_firing_times, level_rings, place_on_firings
 from optshape_graph.edges import EdgePoints, extract_edge_points
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import estimate_pose
-from optshape_graph.pose.azimuth_grid import at_firing_times, level_rings, place_on_firings
 from optshape_graph.simulation import IDEAL, NoiseModel, pose_from_rpy, simulate_target
 from tests.pose.clouds import simulated
 

@@ -1,0 +1,26 @@
+"""Faces of packages whose modules are imported when a name of theirs is first used."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
+
+
+def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__getattr__` and `__dir__` of a package.
+
+    Args:
+        package: its name.
+        homes: each public name, and the module below the package that it comes from.
+    """
+    face = vars(sys.modules[package])
+
+    def attribute(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module '{package}' has no attribute '{name}'")
+        face[name] = getattr(import_module(f"{package}.{homes[name]}"), name)
+        return face[name]
+
+    return attribute, lambda: sorted({*face, *homes})
