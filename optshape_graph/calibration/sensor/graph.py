@@ -112,7 +112,7 @@ def solve(seen: Sequence[Seen], start: Mapping[int, Floats], known: Known | None
         poses = {p: solution.pose(H(p)) for p in poses}
         beta = np.asarray(solution.values.atVector(B(0)))
         system = solution.system
-        everything = np.linalg.inv(system.information.toarray())
+        everything = np.asarray(np.linalg.inv(system.information.toarray()), dtype=float)
         own = system.index([B(0)])
         place = {error: k for k, error in enumerate(errors)}
         covariance = everything[np.ix_(own, own)]

@@ -7,6 +7,7 @@ pose and the errors that all revolutions share, it stands for a Gaussian (expect
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,8 +20,15 @@ from optshape_graph.calibration.sensor.unknowns import (
     board_errors,
     bow,
 )
-from optshape_graph.factors import EDGE_OFFSET, BiasedMeasurement, SharedError, template_rows
-from optshape_graph.factors.plane_returns import plane_measurement
+from optshape_graph.factors import (
+    EDGE_OFFSET,
+    BiasedMeasurement,
+    SharedError,
+    TemplateMeasurement,
+    refine,
+    template_rows,
+)
+from optshape_graph.factors.plane_returns import PlaneReturns, plane_measurement
 from optshape_graph.factors.static import angle_errors
 from optshape_graph.pose.ends import EdgeGeometry, Problem
 from optshape_graph.pose.evidence import measure
@@ -45,6 +53,8 @@ class Seen(Value):
         placement: number of the placement that it belongs to.
         problem: its ring ends, whatever the pose.
         plane: its returns against its plane, with the errors of rings and of the board.
+        returns: the same, each for itself.
+        ring: (N,) of these returns.
         noise: standard deviation of ranges within rings, metres.
         labels: (M,) edge of each ring end.
         precision: (M,) of each Gaussian across its edge, 1/m2.
@@ -56,6 +66,8 @@ class Seen(Value):
     placement: int
     problem: Problem
     plane: BiasedMeasurement
+    returns: PlaneReturns
+    ring: Ints
     noise: float
     labels: Ints
     precision: Floats
@@ -90,6 +102,8 @@ class Seen(Value):
             bias=np.hstack([returns.bias, bent]),
         )
         problem = found.problem
+        rest, counts = found.residuals.rest[usual], len(np.unique(found.scan.ring[usual]))
+        noise = 1.4826 * float(np.median(np.abs(rest))) * np.sqrt(len(rest) / max(len(rest) - counts - 5, 1))
         cosine = float(
             np.abs(found.plane.axes[0] @ scan.points.mean(axis=0)) / np.linalg.norm(scan.points.mean(axis=0))
         )
@@ -97,8 +111,8 @@ class Seen(Value):
         precision = 1.0 / (_own(g) + g.along[0] ** 2 * problem.edges.width**2 / 12)
         information = -precision * problem.edges.middle * g.along[0]
         return cls(
-            found.scan, target, placement, problem, plane_measurement(returns), found.residuals.noise / cosine,
-            g.labels[0], precision, information,
+            found.scan, target, placement, problem, plane_measurement(returns), returns, found.scan.ring[usual],
+            noise / cosine, g.labels[0], precision, information,
         )  # fmt: skip
 
     def measurement(self, T_target_lidar: Floats) -> BiasedMeasurement:
@@ -132,6 +146,31 @@ class Seen(Value):
         )
         errors = (*angles, SharedError(EDGE_OFFSET), SharedError(EDGES_AT_RANGE), *board_errors(target))
         return EdgeRows(A, B, constant, errors, g)
+
+    def ring_residuals(self, T_target_lidar: Floats, beta: Mapping[SharedError, float]) -> tuple[Ints, Floats]:
+        """Return its rings (R,), and how far the returns of each are behind the board along their rays, metres (R,).
+
+        The pose is the one in the company of which they are least, the errors given.
+
+        Args:
+            T_target_lidar: (4, 4) about the pose.
+            beta: the errors, in prior standard deviations.
+        """
+        whole = self.measurement(T_target_lidar)
+        k = len(whole.shared)
+        values = np.array([beta.get(error, 0.0) for error in whole.shared])
+        given = TemplateMeasurement.from_stack(
+            np.column_stack([whole.stack[:, k:-1], whole.stack[:, -1] + whole.stack[:, :k] @ values]),
+            whole.n_rows,
+            T_target_lidar,
+        )
+        T = refine(given)
+        off = self.returns
+        moved = off.bias @ np.array([beta.get(error, 0.0) for error in off.errors]) * off.sigma
+        residual = off.points @ T[0, :3] + T[0, 3] - off.offset + moved
+        cosine = np.abs(off.points @ T[0, :3]) / np.linalg.norm(off.points, axis=1)
+        rings, column = np.unique(self.ring, return_inverse=True)
+        return rings, np.bincount(column, residual / cosine) / np.bincount(column)
 
     def updated(self, T_target_lidar: Floats, place: Ints, beta: Floats, covariance: Floats, relabel: bool) -> Seen:
         """Return it with its Gaussians made again.

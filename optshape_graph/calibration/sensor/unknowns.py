@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.factors import AZIMUTH, EDGE_OFFSET, ELEVATION, RANGE_BIAS, SharedError
+from optshape_graph.factors import AZIMUTH, ELEVATION, RANGE_BIAS, SharedError
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
@@ -97,6 +97,3 @@ class RingDeviations(Value):
 def prior_sds(sensor: SensorModel, kind: str) -> Floats:
     """Return the standard deviations (R,) that the sensor's file has for an error of its rings, metres or rad."""
     return {RANGE_BIAS: sensor.range_bias_sds, ELEVATION: sensor.elevation_sds, AZIMUTH: sensor.azimuth_sds}[kind]
-
-
-__all__ = ["EDGE_OFFSET", "RingDeviations", "board_errors", "bow", "prior_sds"]

@@ -1,0 +1,284 @@
+"""Calibration of a sensor from boards that stood still: solve, judge by placements left out, and make the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optshape_graph._arrays import Floats
+from optshape_graph.calibration.mocap.agreement import find_agreement
+from optshape_graph.calibration.mocap.comparison import MocapScan
+from optshape_graph.calibration.sensor.graph import Joint, solve
+from optshape_graph.calibration.sensor.held_out import gains, posterior_of
+from optshape_graph.calibration.sensor.known import Distance, known_beside
+from optshape_graph.calibration.sensor.noise import Sampling, sampling
+from optshape_graph.calibration.sensor.placements import Placement, of_recording, of_session, one_lidar
+from optshape_graph.calibration.sensor.result import PlacementResult, SensorCalibration
+from optshape_graph.calibration.sensor.seen import Seen
+from optshape_graph.calibration.sensor.told import directions, silent_rings
+from optshape_graph.calibration.sensor.unknowns import EDGE_SYSTEMATIC, RingDeviations
+from optshape_graph.calibration.verdict import Finding
+from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.factors import EDGE_OFFSET
+from optshape_graph.io.recordings import Recording
+from optshape_graph.io.sessions import Session, load_session
+from optshape_graph.sensor import SensorModel
+from optshape_graph.target import Target
+
+LEFT_OUT = 3
+"""Every so many-th moment is left out, to judge what the others say."""
+
+FEWEST = 6
+"""Placements at least: two thirds of them calibrate, the others judge."""
+
+ENOUGH = 15
+"""Placements below which the result is read with care."""
+
+OFF = 5.0
+"""Standard deviations by which noise or step are off the file to be named."""
+
+Source = str | Path | Session | Recording
+"""What boards were recorded in."""
+
+
+def calibrate_sensor(
+    sources: Source | Sequence[Source],
+    targets: Target | Sequence[Target] = (),
+    sensor: SensorModel | None = None,
+    *,
+    lidar: str | None = None,
+    topic: str | None = None,
+    distances: Sequence[Distance] = (),
+    use_target_points: bool = False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> SensorCalibration:
+    """Calibrate a LiDAR's rings by boards that stood still in front of it.
+
+    Args:
+        sources: sessions and recordings of the sensor, by path or opened.
+        targets: the boards to look for; of sessions those that they name, if none are given.
+        sensor: the sensor's file, the prior; None: that of the first session.
+        lidar: which LiDAR of the sessions; None: the only one.
+        topic: of the scans of recordings; None: the only one.
+        distances: between boards, measured.
+        use_target_points: take the crops by hand of sessions instead of looking for the boards.
+        progress: called with the number of scans done, and their total.
+
+    Raises:
+        InputError: a source that can't be read or used, no sensor, or sensors that differ.
+        EstimationError: too few placements, or no solution.
+    """
+    wanted = [targets] if isinstance(targets, Target) else list(targets)
+    placements: list[Placement] = []
+    left_out: list[str] = []
+    frames: list[list[int]] = []
+    for source in [sources] if isinstance(sources, str | Path | Session | Recording) else sources:
+        opened = _opened(source)
+        if isinstance(opened, Session):
+            opened, its = one_lidar(opened, lidar, sensor)
+            if sensor is None:
+                sensor = its
+            found, gone = of_session(opened, wanted, use_target_points, progress)
+        else:
+            if sensor is None:
+                raise InputError(f"{opened.path}: a recording needs the sensor's file, or a built-in name")
+            if not wanted:
+                raise InputError(f"{opened.path}: a recording needs the targets to look for")
+            found, gone = of_recording(opened, topic, wanted, sensor, progress)
+        if any(placement.markers is not None for placement in found):
+            frames.append([len(placements) + k for k in range(len(found))])
+        # Moments of different sources are different moments.
+        offset = 1 + max((one.moment for p in placements for one in p.sightings), default=-1)
+        placements += [_later(placement, offset) for placement in found]
+        left_out += gone
+    if sensor is None:
+        raise InputError("nothing to calibrate: no session and no recording")
+    return calibrate_placements(placements, sensor, distances, frames, left_out)
+
+
+def calibrate_placements(
+    placements: Sequence[Placement],
+    sensor: SensorModel,
+    distances: Sequence[Distance] = (),
+    frames: Sequence[Sequence[int]] = (),
+    left_out: Sequence[str] = (),
+) -> SensorCalibration:
+    """Calibrate a sensor by placements that are estimated already.
+
+    Args:
+        placements: of boards.
+        sensor: its file, the prior.
+        distances: between boards, measured.
+        frames: numbers of the placements that each motion-capture frame saw.
+        left_out: what took no part, in words.
+
+    Raises:
+        EstimationError: too few placements, or no solution.
+    """
+    if len(placements) < FEWEST:
+        reasons = "".join(f"; {text}" for text in left_out[:3])
+        raise EstimationError(
+            f"a sensor's calibration needs {FEWEST} placements of boards that stand still at least, better 20; found "
+            f"{len(placements)}{reasons}"
+        )
+    seen = [
+        Seen.of(
+            replace(one.returns, sensor=sensor), placement.target, p, placement.sightings[0].estimate.T_target_lidar
+        )
+        for p, placement in enumerate(placements)
+        for one in placement.sightings
+    ]
+    start = {p: placement.sightings[0].estimate.T_target_lidar for p, placement in enumerate(placements)}
+    tied = [(numbers, _frame(placements, numbers)) for numbers in frames]
+    joint = solve(seen, start, known_beside(placements, distances, tied))
+    order = {moment: k for k, moment in enumerate(sorted({placement.moment for placement in placements}))}
+    held = {p for p, placement in enumerate(placements) if order[placement.moment] % LEFT_OUT == LEFT_OUT - 1}
+    judged, trained = _held_out(seen, start, held)
+    worth = gains(judged, trained)
+    before, after = _ring_residuals(judged, trained, sensor.n_rings)
+    dev = RingDeviations.of(sensor, joint.errors, joint.beta, np.sqrt(np.diag(joint.covariance)))
+    sampled = sampling(seen, sensor.n_rings)
+    calibrated = _calibrated(sensor, dev, joint, sampled)
+    silent = silent_rings(
+        sensor,
+        [
+            (dev.range_bias_sd, sensor.range_bias_sds),
+            (dev.elevation_sd, sensor.elevation_sds),
+            (dev.azimuth_sd, sensor.azimuth_sds),
+        ],
+    )
+    told = directions(joint, sensor)
+    result = SensorCalibration(
+        sensor=calibrated,
+        given=sensor,
+        placements=tuple(
+            PlacementResult(
+                placement.sightings[0].name, placement.target.name, placement.distance, len(placement.sightings),
+                sum(len(one.returns) for one in placement.sightings), worth.get(p),
+            )
+            for p, placement in enumerate(placements)
+        ),
+        directions=told,
+        silent=silent,
+        sampling=sampled,
+        before=before,
+        after=after,
+        left_out=tuple(left_out),
+        findings=(),
+    )  # fmt: skip
+    return replace(result, findings=tuple(_findings(result, joint)))
+
+
+def _opened(source: Source) -> Session | Recording:
+    if isinstance(source, Session | Recording):
+        return source
+    return load_session(source) if Path(source).suffix.lower() in (".yaml", ".yml", ".json") else Recording(source)
+
+
+def _later(placement: Placement, offset: int) -> Placement:
+    return replace(placement, sightings=tuple(replace(one, moment=one.moment + offset) for one in placement.sightings))
+
+
+def _frame(placements: Sequence[Placement], numbers: Sequence[int]) -> Floats:
+    """T_lidar_mocap (4, 4), roughly, of the placements that a frame saw."""
+    scans = []
+    for p in numbers:
+        first = placements[p].sightings[0]
+        assert first.markers is not None
+        scans.append(MocapScan(first.name, first.estimate, first.markers))
+    return find_agreement(scans, "the session").T_lidar_mocap
+
+
+def _held_out(seen: Sequence[Seen], start: Mapping[int, Floats], held: set[int]) -> tuple[Joint, Joint]:
+    """Solve the placements left out, and the others, each by themselves."""
+
+    def of(chosen: set[int]) -> Joint:
+        return solve([one for one in seen if one.placement in chosen], {p: start[p] for p in chosen})
+
+    return of(held), of(set(start) - held)
+
+
+def _ring_residuals(judged: Joint, trained: Joint, n_rings: int) -> tuple[Floats, Floats]:
+    """Root mean square (R,) of how far rings are behind the boards left out, before and after, metres."""
+    squares, counts = np.zeros((2, n_rings)), np.zeros(n_rings)
+    mean, _ = posterior_of(trained, judged.errors)
+    for one in judged.seen:
+        T = judged.T_target_lidar[one.placement]
+        for k, beta in enumerate(({}, dict(zip(judged.errors, mean.tolist(), strict=True)))):
+            rings, residual = one.ring_residuals(T, beta)
+            squares[k, rings] += residual**2
+        counts[rings] += 1
+    with np.errstate(invalid="ignore"):
+        before, after = np.sqrt(squares / np.where(counts > 0, counts, np.nan))
+    return before, after
+
+
+def _calibrated(sensor: SensorModel, dev: RingDeviations, joint: Joint, sampled: Sampling) -> SensorModel:
+    """The sensor's file with what was found; of what clouds are reported by, that is kept beside it."""
+    nothing = np.zeros(sensor.n_rings)
+    offsets = nothing if sensor.azimuth_offsets is None else sensor.azimuth_offsets
+    reported = sensor.as_reported
+    elevations = sensor.elevations + dev.elevation
+    if (np.diff(elevations) <= 0).any():
+        k = int((np.diff(elevations) <= 0).argmax())
+        raise EstimationError(f"rings {k} and {k + 1} would cross: the boards do not fit sensor '{sensor.name}'")
+    edge = next(i for i, error in enumerate(joint.errors) if error.kind == EDGE_OFFSET)
+    edge_sd = float(np.sqrt(joint.covariance[edge, edge])) * sensor.edge_offset_sd
+    changes: dict[str, Any] = {
+        "range_bias": (nothing if sensor.range_bias is None else sensor.range_bias) + dev.range_bias,
+        "range_bias_sd": dev.range_bias_sd,
+        "elevations": elevations,
+        "elevation_sd": dev.elevation_sd,
+        "azimuth_offsets": offsets + dev.azimuth,
+        "azimuth_sd": dev.azimuth_sd,
+        "reported_elevations": reported.elevations,
+        "reported_azimuth_offsets": nothing if reported.azimuth_offsets is None else reported.azimuth_offsets,
+        "edge_offset": sensor.edge_offset + float(joint.beta[edge]) * sensor.edge_offset_sd,
+        "edge_offset_sd": float(np.hypot(edge_sd, EDGE_SYSTEMATIC)),
+        "range_noise": sampled.range_noise,
+        "azimuth_step": sampled.azimuth_step,
+    }
+    if sampled.firing_times is not None and sampled.firing_sd is not None and sampled.firing_period is not None:
+        known = np.isfinite(sampled.firing_times)
+        given = nothing if sensor.firing_phases is None else sensor.firing_phases
+        changes["firing_phases"] = np.where(known, sampled.firing_times / sampled.firing_period, given)
+        changes["firing_sd"] = np.where(known, sampled.firing_sd / sampled.firing_period, 0.0)
+        changes["firing_period"] = sampled.firing_period
+    return replace(sensor, **changes)
+
+
+def _findings(result: SensorCalibration, joint: Joint) -> list[Finding]:
+    """Say what is wrong with a calibration, and what it could not tell."""
+    found = []
+    if not result.helps:
+        found.append(
+            Finding(
+                "placements that took no part do not become likelier by the calibration of the others (logarithm: "
+                f"{result.gain:+.1f}): did boards move, or are they not as their files say?",
+                True,
+            )
+        )
+    if not joint.settled:
+        found.append(Finding("the solution did not settle: more placements, at other distances and rolls", False))
+    if len(result.placements) < ENOUGH:
+        found.append(Finding(f"{len(result.placements)} placements; some 20 are better", False))
+    held = [one.name for one in result.directions if not one.told]
+    if held:
+        found.append(Finding(f"held at its prior, since the boards can't tell: {', '.join(held)}", False))
+    if result.silent:
+        numbers = ", ".join(map(str, result.silent[:8])) + (" ..." if len(result.silent) > 8 else "")
+        found.append(Finding(f"rings that hardly hit a board keep what the file says: {numbers}", False))
+    sampled, given = result.sampling, result.given
+    if given.azimuth_step is not None and abs(sampled.azimuth_step - given.azimuth_step) > 0.02 * given.azimuth_step:
+        found.append(
+            Finding(
+                f"azimuth step {np.degrees(sampled.azimuth_step):.4f} deg, {np.degrees(given.azimuth_step):.4f} in the "
+                "file: another rate of turning?",
+                False,
+            )
+        )
+    return found

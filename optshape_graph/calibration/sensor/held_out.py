@@ -1,0 +1,73 @@
+"""Placements that took no part judge a calibration: do they become likelier by it?
+
+With their poses free, what their rings say beside is linear in the errors: S beta + s, whitened. Before the calibration
+beta has its prior, after it what the other placements say of it. The difference of the logarithms of the two
+probabilities is what the calibration is worth there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from optshape_graph._arrays import Floats
+from optshape_graph.calibration.sensor.graph import Joint
+from optshape_graph.calibration.sensor.seen import Seen
+from optshape_graph.factors import SharedError
+from optshape_graph.factors._rows import triangular
+from optshape_graph.se3 import vec, vec_derivative
+
+
+def gains(held: Joint, trained: Joint) -> dict[int, float]:
+    """Return by how much each placement becomes likelier, logarithm, by its number.
+
+    Args:
+        held: these placements, solved by themselves.
+        trained: the calibration by all others.
+    """
+    by_placement: dict[int, list[Seen]] = {}
+    for one in held.seen:
+        by_placement.setdefault(one.placement, []).append(one)
+    found = {}
+    for placement, seen in by_placement.items():
+        rows, errors = about_errors(seen, held.T_target_lidar[placement])
+        mean, covariance = posterior_of(trained, errors)
+        before = _log_density(rows, np.zeros(len(errors)), np.eye(len(errors)))
+        found[placement] = _log_density(rows, mean, covariance) - before
+    return found
+
+
+def about_errors(seen: Sequence[Seen], T_target_lidar: Floats) -> tuple[Floats, tuple[SharedError, ...]]:
+    """Return what revolutions of a placement say of k errors, its pose free: whitened rows (m, k + 1), and the errors.
+
+    Args:
+        seen: its revolutions.
+        T_target_lidar: (4, 4) its pose.
+    """
+    measured = [one.measurement(T_target_lidar) for one in seen]
+    total = measured[0]
+    for other in measured[1:]:
+        total = total + other
+    k = len(total.shared)
+    B, A, r = total.stack[:, :k], total.stack[:, k:-1], total.stack[:, -1]
+    rows = np.column_stack([A @ vec_derivative(T_target_lidar), B, A @ vec(T_target_lidar) + r])
+    return triangular(rows)[6 : 6 + k + 1, 6:], total.shared
+
+
+def posterior_of(joint: Joint, errors: Sequence[SharedError]) -> tuple[Floats, Floats]:
+    """Return mean (k,) and covariance (k, k) that a solution has of errors; those it doesn't know keep their prior."""
+    place: Mapping[SharedError, int] = {error: i for i, error in enumerate(joint.errors)}
+    known = np.array([k for k, error in enumerate(errors) if error in place], int)
+    there = np.array([place[errors[k]] for k in known], int)
+    mean, covariance = np.zeros(len(errors)), np.eye(len(errors))
+    mean[known] = joint.beta[there]
+    covariance[np.ix_(known, known)] = joint.covariance[np.ix_(there, there)]
+    return mean, covariance
+
+
+def _log_density(rows: Floats, mean: Floats, covariance: Floats) -> float:
+    S, s = rows[:, :-1], rows[:, -1]
+    e = S @ mean + s
+    total = np.eye(len(S)) + S @ covariance @ S.T
+    return -0.5 * float(e @ np.linalg.solve(total, e) + np.linalg.slogdet(total)[1])
