@@ -17,6 +17,7 @@ from optshape_graph.target import Chessboard, Target
 if TYPE_CHECKING:
     from optshape_graph.calibration.camera import CameraCalibration, calibrate_camera
     from optshape_graph.calibration.mocap import MocapCalibration, calibrate_mocap
+    from optshape_graph.calibration.sensor import SensorCalibration, calibrate_sensor
     from optshape_graph.detection import Detections, detect_targets
     from optshape_graph.io import load_sensor, load_session, load_target, read_scan
     from optshape_graph.mapping import Map, load_map, map_recording, save_map
@@ -30,8 +31,10 @@ _HOME = {
     "Map": "mapping",
     "MocapCalibration": "calibration.mocap",
     "PoseEstimate": "pose",
+    "SensorCalibration": "calibration.sensor",
     "calibrate_camera": "calibration.camera",
     "calibrate_mocap": "calibration.mocap",
+    "calibrate_sensor": "calibration.sensor",
     "detect_targets": "detection",
     "estimate_pose": "pose",
     "load_map": "mapping",
@@ -56,12 +59,14 @@ __all__ = [
     "OptshapeError",
     "PoseEstimate",
     "Scan",
+    "SensorCalibration",
     "SensorModel",
     "Target",
     "UnobservableError",
     "__version__",
     "calibrate_camera",
     "calibrate_mocap",
+    "calibrate_sensor",
     "detect_targets",
     "estimate_pose",
     "load_map",

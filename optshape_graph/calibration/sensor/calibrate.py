@@ -15,7 +15,7 @@ from optshape_graph.calibration.mocap.comparison import MocapScan
 from optshape_graph.calibration.sensor.graph import Joint, solve
 from optshape_graph.calibration.sensor.held_out import gains, posterior_of
 from optshape_graph.calibration.sensor.known import Distance, known_beside
-from optshape_graph.calibration.sensor.noise import Sampling, sampling
+from optshape_graph.calibration.sensor.noise import Sampling, drift_of, sampling
 from optshape_graph.calibration.sensor.placements import Placement, of_recording, of_session, one_lidar
 from optshape_graph.calibration.sensor.result import PlacementResult, SensorCalibration
 from optshape_graph.calibration.sensor.seen import Seen
@@ -26,6 +26,7 @@ from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import EDGE_OFFSET
 from optshape_graph.io.recordings import Recording
 from optshape_graph.io.sessions import Session, load_session
+from optshape_graph.scan import put_right
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
@@ -38,8 +39,8 @@ FEWEST = 6
 ENOUGH = 15
 """Placements below which the result is read with care."""
 
-OFF = 5.0
-"""Standard deviations by which noise or step are off the file to be named."""
+DRIFT_ROUNDS, SMALL_DRIFT = 4, 5e-4
+"""How often the drift of range biases is estimated at most, and its change that is none, metres."""
 
 Source = str | Path | Session | Recording
 """What boards were recorded in."""
@@ -126,15 +127,21 @@ def calibrate_placements(
             f"{len(placements)}{reasons}"
         )
     seen = [
-        Seen.of(
-            replace(one.returns, sensor=sensor), placement.target, p, placement.sightings[0].estimate.T_target_lidar
-        )
+        Seen.of(put_right(one.returns), placement.target, p, placement.sightings[0].estimate.T_target_lidar)
         for p, placement in enumerate(placements)
         for one in placement.sightings
     ]
     start = {p: placement.sightings[0].estimate.T_target_lidar for p, placement in enumerate(placements)}
     tied = [(numbers, _frame(placements, numbers)) for numbers in frames]
-    joint = solve(seen, start, known_beside(placements, distances, tied))
+    known = known_beside(placements, distances, tied)
+    joint, drift = solve(seen, start, known), 0.0
+    for _ in range(DRIFT_ROUNDS):
+        more = drift_of(joint)
+        if abs(more - drift) < SMALL_DRIFT:
+            break
+        drift = more
+        seen = [one.drifting(drift) for one in joint.seen]
+        joint = solve(seen, joint.T_target_lidar, known)
     order = {moment: k for k, moment in enumerate(sorted({placement.moment for placement in placements}))}
     held = {p for p, placement in enumerate(placements) if order[placement.moment] % LEFT_OUT == LEFT_OUT - 1}
     judged, trained = _held_out(seen, start, held)
@@ -142,7 +149,7 @@ def calibrate_placements(
     before, after = _ring_residuals(judged, trained, sensor.n_rings)
     dev = RingDeviations.of(sensor, joint.errors, joint.beta, np.sqrt(np.diag(joint.covariance)))
     sampled = sampling(seen, sensor.n_rings)
-    calibrated = _calibrated(sensor, dev, joint, sampled)
+    calibrated = _calibrated(sensor, dev, joint, sampled, drift)
     silent = silent_rings(
         sensor,
         [
@@ -165,6 +172,7 @@ def calibrate_placements(
         directions=told,
         silent=silent,
         sampling=sampled,
+        drift=drift,
         before=before,
         after=after,
         left_out=tuple(left_out),
@@ -217,7 +225,7 @@ def _ring_residuals(judged: Joint, trained: Joint, n_rings: int) -> tuple[Floats
     return before, after
 
 
-def _calibrated(sensor: SensorModel, dev: RingDeviations, joint: Joint, sampled: Sampling) -> SensorModel:
+def _calibrated(sensor: SensorModel, dev: RingDeviations, joint: Joint, sampled: Sampling, drift: float) -> SensorModel:
     """The sensor's file with what was found; of what clouds are reported by, that is kept beside it."""
     nothing = np.zeros(sensor.n_rings)
     offsets = nothing if sensor.azimuth_offsets is None else sensor.azimuth_offsets
@@ -230,7 +238,7 @@ def _calibrated(sensor: SensorModel, dev: RingDeviations, joint: Joint, sampled:
     edge_sd = float(np.sqrt(joint.covariance[edge, edge])) * sensor.edge_offset_sd
     changes: dict[str, Any] = {
         "range_bias": (nothing if sensor.range_bias is None else sensor.range_bias) + dev.range_bias,
-        "range_bias_sd": dev.range_bias_sd,
+        "range_bias_sd": np.hypot(dev.range_bias_sd, drift),
         "elevations": elevations,
         "elevation_sd": dev.elevation_sd,
         "azimuth_offsets": offsets + dev.azimuth,

@@ -17,7 +17,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, H
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.calibration.sensor.seen import Seen
+from optshape_graph.calibration.sensor.seen import Seen, of_placement
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors import SharedError
 from optshape_graph.graph import SharedErrors
@@ -93,9 +93,9 @@ def solve(seen: Sequence[Seen], start: Mapping[int, Floats], known: Known | None
     beta, settled = np.zeros(0), False
     for turn in range(1, ROUNDS + 1):
         term = SharedErrors.of(
-            [one.measurement(poses[one.placement]) for one in seen],
-            [[H(one.placement)] for one in seen],
-            [B(0)] * len(seen),
+            [of_placement([one for one in seen if one.placement == p], poses[p]) for p in poses],
+            [[H(p)] for p in poses],
+            [B(0)] * len(poses),
         )
         values = gtsam.Values()
         values.insert(known.values)

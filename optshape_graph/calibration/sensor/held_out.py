@@ -13,7 +13,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.sensor.graph import Joint
-from optshape_graph.calibration.sensor.seen import Seen
+from optshape_graph.calibration.sensor.seen import Seen, of_placement
 from optshape_graph.factors import SharedError
 from optshape_graph.factors._rows import triangular
 from optshape_graph.se3 import vec, vec_derivative
@@ -45,10 +45,7 @@ def about_errors(seen: Sequence[Seen], T_target_lidar: Floats) -> tuple[Floats, 
         seen: its revolutions.
         T_target_lidar: (4, 4) its pose.
     """
-    measured = [one.measurement(T_target_lidar) for one in seen]
-    total = measured[0]
-    for other in measured[1:]:
-        total = total + other
+    total = of_placement(seen, T_target_lidar)
     k = len(total.shared)
     B, A, r = total.stack[:, :k], total.stack[:, k:-1], total.stack[:, -1]
     rows = np.column_stack([A @ vec_derivative(T_target_lidar), B, A @ vec(T_target_lidar) + r])

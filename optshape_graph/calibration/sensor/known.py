@@ -39,8 +39,14 @@ class Distance:
     sd: float = 2e-3
 
     @classmethod
-    def parsed(cls, a: str, b: str, metres: float, sd: float = 2e-3) -> Distance:
+    def parsed(cls, a: str, b: str, metres: float | str, sd: float = 2e-3) -> Distance:
         """Return the distance between points given as BOARD or BOARD/VERTEX.
+
+        Args:
+            a: the one point.
+            b: the other.
+            metres: between them.
+            sd: standard deviation, metres.
 
         Raises:
             InputError: a vertex that is no number, or a distance or standard deviation that is not positive.
@@ -52,9 +58,13 @@ class Distance:
                 raise InputError(f"'{text}': expected BOARD or BOARD/VERTEX, the vertex as its number from 0")
             return name, int(vertex) if slash else None
 
-        if not (metres > 0 and sd > 0):
-            raise InputError(f"distance {metres} +- {sd} m: expected positive numbers")
-        return cls(point(a), point(b), metres, sd)
+        try:
+            length = float(metres)
+        except ValueError:
+            length = -1.0
+        if not (0 < length < np.inf and 0 < sd < np.inf):
+            raise InputError(f"distance '{metres}' +- {sd} m between {a} and {b}: expected positive numbers")
+        return cls(point(a), point(b), length, sd)
 
 
 def known_beside(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
+from optshape_graph.calibration.sensor.graph import Joint
 from optshape_graph.calibration.sensor.seen import Seen
 from optshape_graph.edges import azimuth_spacing, relative_azimuth
 
@@ -63,6 +64,31 @@ def sampling(seen: Sequence[Seen], n_rings: int) -> Sampling:
     if times is None:
         return found
     return replace(found, firing_times=times[0], firing_sd=times[1], firing_period=times[2])
+
+
+def drift_of(joint: Joint) -> float:
+    """Return the standard deviation of what each placement has of its own in each ring's range bias, metres.
+
+    It is what rings are off boards by, calibrated, beyond what the noise of their returns explains. Of as many numbers
+    as there are rings on boards, each ring's bias takes one, and each placement three for its plane.
+    """
+    beta = dict(zip(joint.errors, joint.beta.tolist(), strict=True))
+    by_placement: dict[int, list[Seen]] = {}
+    for one in joint.seen:
+        by_placement.setdefault(one.placement, []).append(one)
+    square, count, rings_seen = 0.0, 0, set[int]()
+    for p, seen in by_placement.items():
+        total: dict[int, list[float]] = {}
+        for one in seen:
+            rings, residual = one.ring_residuals(joint.T_target_lidar[p], beta)
+            returns = np.bincount(one.ring)[rings]
+            for ring, off, n in zip(rings.tolist(), residual.tolist(), returns.tolist(), strict=True):
+                total.setdefault(ring, []).append(off**2 - one.noise**2 / n)
+        square += sum(float(np.mean(values)) for values in total.values())
+        count += len(total)
+        rings_seen |= set(total)
+    freedom = count - len(rings_seen) - 3 * len(by_placement)
+    return float(np.sqrt(max(square, 0.0) / freedom)) if freedom > 0 else 0.0
 
 
 def _step(one: Seen) -> float | None:

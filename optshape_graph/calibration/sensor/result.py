@@ -47,6 +47,7 @@ class SensorCalibration(Result):
         directions: what free boards may leave open, and how well it is known now.
         silent: rings of which the boards told next to nothing.
         sampling: how the sensor samples.
+        drift: standard deviation of what each placement has of its own in each ring's range bias, metres.
         before: (R,) root mean square, over the placements left out, of how far a ring's returns are behind the board,
             by the given file, metres; NaN for rings that were not on one.
         after: (R,) the same by the calibration of the others.
@@ -62,6 +63,7 @@ class SensorCalibration(Result):
     directions: tuple[Direction, ...]
     silent: tuple[int, ...]
     sampling: Sampling
+    drift: float
     before: Floats
     after: Floats
     left_out: tuple[str, ...]
@@ -138,6 +140,7 @@ class SensorCalibration(Result):
             "edge_offset_sd": self.sensor.edge_offset_sd,
             "range_noise_m": sampling.range_noise,
             "range_noise_sd_m": sampling.range_noise_sd,
+            "range_drift_m": self.drift,
             "azimuth_step_deg": float(np.degrees(sampling.azimuth_step)),
             "azimuth_step_sd_deg": float(np.degrees(sampling.azimuth_step_sd)),
             "directions": [

@@ -7,13 +7,17 @@ pose and the errors that all revolutions share, it stands for a Gaussian (expect
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
+from typing import Self
 
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.calibration.sensor.unknowns import (
+    DRIFT,
     EDGES_AT_RANGE,
     RANGE_BY_EDGES_SD,
     SIZE_SD,
@@ -22,6 +26,7 @@ from optshape_graph.calibration.sensor.unknowns import (
 )
 from optshape_graph.factors import (
     EDGE_OFFSET,
+    RANGE_BIAS,
     BiasedMeasurement,
     SharedError,
     TemplateMeasurement,
@@ -76,7 +81,7 @@ class Seen(Value):
     @classmethod
     def of(
         cls, scan: Scan, target: Target, placement: int, T_target_lidar: Floats, options: PoseOptions = PoseOptions()
-    ) -> Seen:
+    ) -> Self:
         """Measure a board in one revolution.
 
         Args:
@@ -114,6 +119,23 @@ class Seen(Value):
             found.scan, target, placement, problem, plane_measurement(returns), returns, found.scan.ring[usual],
             noise / cosine, g.labels[0], precision, information,
         )  # fmt: skip
+
+    def drifting(self, drift: float) -> Self:
+        """Return it with a range bias of each ring that is the placement's own.
+
+        Args:
+            drift: its standard deviation, metres.
+        """
+        if drift == 0:
+            return self
+        assert self.scan.sensor is not None
+        index = [k for k, error in enumerate(self.returns.errors) if error.kind == RANGE_BIAS]
+        columns = drift / self.scan.sensor.range_bias_sds[self.ring][:, None] * self.returns.bias[:, index]
+        errors = tuple(SharedError(DRIFT, ring=self.returns.errors[k].ring) for k in index)
+        wider = replace(
+            self.returns, errors=(*self.returns.errors, *errors), bias=np.hstack([self.returns.bias, columns])
+        )
+        return replace(self, plane=plane_measurement(wider))
 
     def measurement(self, T_target_lidar: Floats) -> BiasedMeasurement:
         """Return plane and ring ends, linear in the errors, at a pose (4, 4)."""
@@ -231,3 +253,14 @@ class EdgeRows(Value):
 def _own(g: EdgeGeometry) -> Floats:
     """(M,) variance of each ring end about its residual, what its ring's angles add left out, m2."""
     return np.asarray(g.own[0] - g.lifted[0] ** 2 - g.turned[0] ** 2)
+
+
+def of_placement(seen: Sequence[Seen], T_target_lidar: Floats) -> BiasedMeasurement:
+    """Return what all revolutions of a placement say of its pose and the errors, its own marginalised.
+
+    Args:
+        seen: its revolutions.
+        T_target_lidar: (4, 4) its pose.
+    """
+    total = reduce(add, [one.measurement(T_target_lidar) for one in seen])
+    return total.without([error for error in total.shared if error.kind == DRIFT])

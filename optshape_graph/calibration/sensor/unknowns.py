@@ -19,7 +19,8 @@ from optshape_graph.factors import AZIMUTH, ELEVATION, RANGE_BIAS, SharedError
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
-SIZE, BOW, EDGES_AT_RANGE = "size", "bow", "edges at range"
+SIZE, BOW, EDGES_AT_RANGE, DRIFT = "size", "bow", "edges at range", "drift of range"
+"""Kinds of errors beside those of the sensor's file; the last is of a ring, but each placement's own."""
 
 SIZE_SD = 1e-3
 """Standard deviation of a board's radius against its drawing, metres."""
