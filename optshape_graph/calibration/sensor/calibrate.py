@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.calibration.mocap.agreement import find_agreement
 from optshape_graph.calibration.mocap.comparison import MocapScan
 from optshape_graph.calibration.sensor.graph import Joint, solve
-from optshape_graph.calibration.sensor.held_out import gains, posterior_of
+from optshape_graph.calibration.sensor.held_out import IN_TURN, posterior_of, that_help
 from optshape_graph.calibration.sensor.known import Distance, known_beside
 from optshape_graph.calibration.sensor.noise import Sampling, drift_of, sampling
 from optshape_graph.calibration.sensor.placements import Placement, of_recording, of_session, one_lidar
@@ -31,7 +31,10 @@ from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 LEFT_OUT = 3
-"""Every so many-th moment is left out, to judge what the others say."""
+"""Every so many-th moment is left out together, to judge what the others say."""
+
+FEW = 60
+"""Placements up to which every moment is left out once; of more, one part is enough."""
 
 FEWEST = 6
 """Placements at least: two thirds of them calibrate, the others judge."""
@@ -142,12 +145,13 @@ def calibrate_placements(
         drift = more
         seen = [one.drifting(drift) for one in joint.seen]
         joint = solve(seen, joint.T_target_lidar, known)
-    order = {moment: k for k, moment in enumerate(sorted({placement.moment for placement in placements}))}
-    held = {p for p, placement in enumerate(placements) if order[placement.moment] % LEFT_OUT == LEFT_OUT - 1}
-    judged, trained = _held_out(seen, start, held)
-    worth = gains(judged, trained)
-    before, after = _ring_residuals(judged, trained, sensor.n_rings)
-    dev = RingDeviations.of(sensor, joint.errors, joint.beta, np.sqrt(np.diag(joint.covariance)))
+    folds = _folds(placements, seen, start)
+    kept, worth = that_help(folds)
+    before, after = _ring_residuals(folds, kept, sensor.n_rings)
+    held = tuple(kind for kind in IN_TURN if kind not in kept)
+    mean, covariance = posterior_of(joint, joint.errors, kept)
+    joint = replace(joint, beta=mean, covariance=covariance)
+    dev = RingDeviations.of(sensor, joint.errors, mean, np.sqrt(np.diag(covariance)))
     sampled = sampling(seen, sensor.n_rings)
     calibrated = _calibrated(sensor, dev, joint, sampled, drift)
     silent = silent_rings(
@@ -178,7 +182,7 @@ def calibrate_placements(
         left_out=tuple(left_out),
         findings=(),
     )  # fmt: skip
-    return replace(result, findings=tuple(_findings(result, joint)))
+    return replace(result, findings=tuple(_findings(result, joint, held)))
 
 
 def _opened(source: Source) -> Session | Recording:
@@ -201,25 +205,35 @@ def _frame(placements: Sequence[Placement], numbers: Sequence[int]) -> Floats:
     return find_agreement(scans, "the session").T_lidar_mocap
 
 
-def _held_out(seen: Sequence[Seen], start: Mapping[int, Floats], held: set[int]) -> tuple[Joint, Joint]:
-    """Solve the placements left out, and the others, each by themselves."""
+def _folds(
+    placements: Sequence[Placement], seen: Sequence[Seen], start: Mapping[int, Floats]
+) -> list[tuple[Joint, Joint]]:
+    """Leave out some moments in turn: solve their placements by themselves, and all others."""
 
     def of(chosen: set[int]) -> Joint:
-        return solve([one for one in seen if one.placement in chosen], {p: start[p] for p in chosen})
+        return solve([one for one in seen if one.placement in chosen], {p: start[p] for p in sorted(chosen)})
 
-    return of(held), of(set(start) - held)
+    order = {moment: k for k, moment in enumerate(sorted({placement.moment for placement in placements}))}
+    turns = LEFT_OUT if len(placements) <= FEW else 1
+    parts = [{p for p, one in enumerate(placements) if order[one.moment] % LEFT_OUT == k} for k in range(turns)]
+    everyone = set(range(len(placements)))
+    return [(of(part), of(everyone - part)) for part in parts if part and part != everyone]
 
 
-def _ring_residuals(judged: Joint, trained: Joint, n_rings: int) -> tuple[Floats, Floats]:
+def _ring_residuals(
+    folds: Sequence[tuple[Joint, Joint]], kinds: Collection[str], n_rings: int
+) -> tuple[Floats, Floats]:
     """Root mean square (R,) of how far rings are behind the boards left out, before and after, metres."""
     squares, counts = np.zeros((2, n_rings)), np.zeros(n_rings)
-    mean, _ = posterior_of(trained, judged.errors)
-    for one in judged.seen:
-        T = judged.T_target_lidar[one.placement]
-        for k, beta in enumerate(({}, dict(zip(judged.errors, mean.tolist(), strict=True)))):
-            rings, residual = one.ring_residuals(T, beta)
-            squares[k, rings] += residual**2
-        counts[rings] += 1
+    for judged, trained in folds:
+        mean, _ = posterior_of(trained, judged.errors, kinds)
+        found = dict(zip(judged.errors, mean.tolist(), strict=True))
+        for one in judged.seen:
+            T = judged.T_target_lidar[one.placement]
+            for k, beta in enumerate(({}, found)):
+                rings, residual = one.ring_residuals(T, beta)
+                squares[k, rings] += residual**2
+            counts[rings] += 1
     with np.errstate(invalid="ignore"):
         before, after = np.sqrt(squares / np.where(counts > 0, counts, np.nan))
     return before, after
@@ -259,7 +273,7 @@ def _calibrated(sensor: SensorModel, dev: RingDeviations, joint: Joint, sampled:
     return replace(sensor, **changes)
 
 
-def _findings(result: SensorCalibration, joint: Joint) -> list[Finding]:
+def _findings(result: SensorCalibration, joint: Joint, kept_as_given: Sequence[str]) -> list[Finding]:
     """Say what is wrong with a calibration, and what it could not tell."""
     found = []
     if not result.helps:
@@ -268,6 +282,14 @@ def _findings(result: SensorCalibration, joint: Joint) -> list[Finding]:
                 "placements that took no part do not become likelier by the calibration of the others (logarithm: "
                 f"{result.gain:+.1f}): did boards move, or are they not as their files say?",
                 True,
+            )
+        )
+    elif kept_as_given:
+        found.append(
+            Finding(
+                f"left as the file has them, since placements left out do not become likelier by them: "
+                f"{', '.join(kept_as_given)}",
+                False,
             )
         )
     if not joint.settled:
