@@ -1,0 +1,298 @@
+"""The rig's graph: sensors, targets, the platform, and what sightings share, in one least-squares problem.
+
+    E_s = T_base_sensor      where a sensor is; the base has none
+    X_m = T_world_base       where the platform is at a moment, where it moves; at the first it is the world
+    L_p = T_world_target     where a target is in a placement; on a platform that stands still, the world is the base
+    B_l                      errors of LiDAR l's rings (ranges, elevations), in their standard deviations
+    O_t                      (y, z) by which a printed pattern is off on target t, metres
+    M_t                      how far the markers of target t are from its vertices, metres
+
+A scan measures T_target_lidar = L^-1 X E, an image and markers its inverse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, E, L, M, O, X
+
+from optshape_graph._arrays import Floats, Value
+from optshape_graph.calibration.camera.factors import OFFSET_SIGMA_M
+from optshape_graph.calibration.camera.sightings import TargetInScan
+from optshape_graph.calibration.images.reading import TargetInImage
+from optshape_graph.calibration.rig.points import Corners, Marked, Points
+from optshape_graph.calibration.rig.sightings import Sighting, TargetInMarkers, persistent, read_as
+from optshape_graph.calibration.rig.start import Start
+from optshape_graph.errors import EstimationError
+from optshape_graph.factors import RANGE_BIAS, BiasedMeasurement, SharedError
+from optshape_graph.factors._rows import triangular
+from optshape_graph.graph import Chain, Inverse, SharedErrors, Solution, Term, solve
+
+MARKERS_OFF = 0.03
+"""Standard deviation of a marker's place about its vertex along each axis, metres."""
+
+LOSS = 4.5
+"""Huber's loss turns from squares to lines at this many standard deviations of a sighting, of six degrees of freedom:
+one in ten thousand good ones exceeds it."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is assumed.
+
+    Attributes:
+        range_bias_sigma: standard deviation of a range bias that all rings of a LiDAR have alike, metres, beside what
+            the sensor files say of each ring's own; 0: there is none.
+        as_they_come: whether the ranges' biases are part of what is measured, for clouds that nobody corrects.
+    """
+
+    range_bias_sigma: float = 0.0
+    as_they_come: bool = False
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Linked(Value):
+    """One sighting's rows ||R x + d||^2, by its variables.
+
+    Attributes:
+        keys: of the variables.
+        blocks: (6, d_k) derivatives.
+        d: (6,) whitened.
+        by_pose: (6, 6) by the right perturbation of T_target_lidar, or of T_sensor_target of an image or of markers.
+    """
+
+    keys: list[int]
+    blocks: list[Floats]
+    d: Floats
+    by_pose: Floats
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RigGraph(Value):
+    """A rig's sightings as a graph.
+
+    Attributes:
+        start: with the sightings.
+        base: whose frame is the platform's.
+        options: what is assumed.
+    """
+
+    start: Start
+    base: str
+    options: Options = Options()
+
+    @cached_property
+    def sensors(self) -> dict[str, int]:
+        """Key of every sensor but the base."""
+        return {name: E(k) for k, name in enumerate(self.start.T_base_sensor) if name != self.base}
+
+    @cached_property
+    def placements(self) -> dict[str, int]:
+        """Key of every placement."""
+        return {placement: L(k) for k, placement in enumerate(self.start.T_world_target)}
+
+    @cached_property
+    def moments(self) -> dict[int, int]:
+        """Key of the platform's pose at every moment but those that are the world's."""
+        poses = self.start.T_world_base
+        return {m: X(k) for k, (m, T) in enumerate(poses.items()) if not np.array_equal(T, np.eye(4))}
+
+    @cached_property
+    def lidars(self) -> dict[str, int]:
+        """Key of the errors of every LiDAR's rings."""
+        names = dict.fromkeys(s.sensor for s in self.start.sightings if isinstance(s.seen, TargetInScan))
+        return {name: B(k) for k, name in enumerate(names)}
+
+    @cached_property
+    def targets(self) -> dict[str, int]:
+        """Number of every target, as in the keys O and M."""
+        return {name: k for k, name in enumerate(dict.fromkeys(s.target.name for s in self.start.sightings))}
+
+    @cached_property
+    def measurements(self) -> dict[int, BiasedMeasurement]:
+        """Of every scan, by number of the sighting, as it is read."""
+        found: dict[int, BiasedMeasurement] = {}
+        for lidar in self.lidars:
+            numbers, scans = list[int](), list[TargetInScan]()
+            for n, sighting in enumerate(self.start.sightings):
+                if sighting.sensor == lidar and isinstance(sighting.seen, TargetInScan):
+                    numbers.append(n)
+                    scans.append(sighting.seen)
+            for n, measurement in zip(numbers, persistent(scans, self.options.range_bias_sigma), strict=True):
+                given = _unbiased(measurement) if self.options.as_they_come else measurement
+                found[n] = read_as(given, self.start.sightings[n].S)
+        return found
+
+    def chain(self, sighting: Sighting) -> Chain:
+        """Return what T_target_sensor of a sighting is made of."""
+        moment = [self.moments[sighting.moment]] if sighting.moment in self.moments else []
+        sensor = [self.sensors[sighting.sensor]] if sighting.sensor in self.sensors else []
+        return [Inverse(self.placements[sighting.placement]), *moment, *sensor]
+
+    def solve(self, used: Collection[int] | None = None, at: gtsam.Values | None = None) -> RigSolution:
+        """Minimise over the sightings, or over those of some numbers.
+
+        Args:
+            used: their numbers; None: all.
+            at: where to start; None: where the start is.
+
+        Raises:
+            EstimationError: the minimum is not found.
+        """
+        everything = range(len(self.start.sightings))
+        numbers = list(everything) if used is None else [n for n in everything if n in used]
+        scans = [n for n in numbers if n in self.measurements]
+        others = [n for n in numbers if n not in self.measurements]
+        seen = [self.start.sightings[n] for n in numbers]
+        shared = SharedErrors.of(
+            [self.measurements[n] for n in scans],
+            [self.chain(self.start.sightings[n]) for n in scans],
+            [self.lidars[self.start.sightings[n].sensor] for n in scans],
+            LOSS,
+        )
+        points = [self._points(self.start.sightings[n]) for n in others]
+        term = Points.of(
+            [one for one, _ in points],
+            [_inverse(self.chain(self.start.sightings[n])) for n in others],
+            [key for _, key in points],
+            LOSS,
+        )
+        values, factors = self._values(seen, [key for _, key in points if key is not None])
+        shared.insert(values)
+        if at is not None:
+            for key in [key for key in gtsam.utilities.allPose3s(values).keys() if at.exists(key)]:  # noqa: SIM118
+                values.update(key, at.atPose3(key))
+        terms: list[Term] = [shared, term]
+        solution = solve(values, terms, factors, self.names())
+        if not solution.converged:
+            raise EstimationError("the rig's graph did not converge: views contradict each other")
+        return RigSolution(self, solution, tuple(scans), tuple(others))
+
+    def names(self) -> dict[int, str]:
+        """Return what messages call the variables."""
+        names = {key: f"'{name}'" for name, key in self.sensors.items()}
+        names |= {key: f"the platform at moment {m}" for m, key in self.moments.items()}
+        names |= {key: f"placement {k + 1}" for k, key in enumerate(self.placements.values())}
+        return names | {key: f"rings of '{name}'" for name, key in self.lidars.items()}
+
+    def _points(self, sighting: Sighting) -> tuple[Corners | Marked, int | None]:
+        """What an image or markers say, and the key of what they share with others."""
+        seen, number = sighting.seen, self.targets[sighting.target.name]
+        if isinstance(seen, TargetInImage):
+            points = seen.points.relabelled(sighting.S)
+            return Corners(points, seen.camera), O(number) if points.printed else None
+        assert isinstance(seen, TargetInMarkers)
+        near = sighting.target.vertices[seen.vertices]
+        return Marked.of(seen.points, near, seen.vertices, seen.sigma, seen.of_body), M(number)
+
+    def _values(
+        self, seen: Sequence[Sighting], shared: Sequence[int]
+    ) -> tuple[gtsam.Values, gtsam.NonlinearFactorGraph]:
+        """Initial values, and the priors of what sightings of points share."""
+        start, values, factors = self.start, gtsam.Values(), gtsam.NonlinearFactorGraph()
+        poses = {self.placements[s.placement]: start.T_world_target[s.placement] for s in seen}
+        poses |= {self.sensors[s.sensor]: start.T_base_sensor[s.sensor] for s in seen if s.sensor in self.sensors}
+        poses |= {self.moments[s.moment]: start.T_world_base[s.moment] for s in seen if s.moment in self.moments}
+        for key, T in poses.items():
+            values.insert(key, gtsam.Pose3(T))
+        sizes = {name: len(s.target) for s in seen for name in [s.target.name]}
+        for name, number in self.targets.items():
+            for key, sigmas in (
+                (O(number), np.array(OFFSET_SIGMA_M[1:])),
+                (M(number), np.full(3 * sizes.get(name, 0), MARKERS_OFF)),
+            ):
+                if key in shared:
+                    values.insert(key, np.zeros(len(sigmas)))
+                    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+                    factors.push_back(gtsam.PriorFactorVector(key, np.zeros(len(sigmas)), noise))
+        return values, factors
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RigSolution(Value):
+    """A solved rig.
+
+    Attributes:
+        graph: what was solved.
+        solution: of its variables.
+        scans: numbers of the sightings by LiDARs that took part.
+        others: of the others.
+    """
+
+    graph: RigGraph
+    solution: Solution
+    scans: tuple[int, ...]
+    others: tuple[int, ...]
+
+    @cached_property
+    def chi2(self) -> dict[int, float]:
+        """Of each sighting, by number, the chi-square that its own best pose would take away: 6 degrees of freedom."""
+        models: Any = self.solution.models
+        both = [*zip(self.scans, models[0].chi2, strict=True), *zip(self.others, models[1].chi2, strict=True)]
+        return {n: float(value) for n, value in both}
+
+    @cached_property
+    def linked(self) -> dict[int, Linked]:
+        """Of each sighting, by number, its rows that link poses and what it shares with others."""
+        models: Any = self.solution.models
+        scans, points = models
+        found = {}
+        for n, keys, by, R, by_errors, d, s in zip(
+            self.scans, scans.term.chains.keys, scans.term.chains.derivatives(scans.R, scans.state),
+            scans.R, scans.E, scans.d, scans.term.sensor, strict=True,
+        ):  # fmt: skip
+            own = by_errors[:, : len(scans.term.errors[s])]
+            found[n] = Linked([*keys, scans.term.keys[s]], [*by, own], d, R)
+        first = np.array([rows[:6, :6] for rows in points.rows]).reshape(-1, 6, 6)
+        blocks = points.term.chains.derivatives(first, points.state)
+        for n, keys, by, rows, key in zip(
+            self.others, points.term.chains.keys, blocks, points.rows, points.term.keys, strict=True
+        ):
+            shared = ([], []) if key is None else ([key], [rows[:6, 6:-1]])
+            found[n] = Linked([*keys, *shared[0]], [*by, *shared[1]], rows[:6, -1], rows[:6, :6])
+        return found
+
+    def pair(self, a: str, b: str) -> tuple[Floats, Floats]:
+        """Return T_a_b (4, 4) of two sensors, and the covariance (6, 6) of its right perturbation, frame b.
+
+        Raises:
+            UnobservableError: it moves in a direction that is not observable.
+        """
+        sensors = self.graph.sensors
+        return self.solution.relative([
+            *([Inverse(sensors[a])] if a in sensors else []), *([sensors[b]] if b in sensors else []),
+        ])  # fmt: skip
+
+    def T_base_sensor(self, name: str) -> Floats:
+        """Return where a sensor is (4, 4)."""
+        key = self.graph.sensors.get(name)
+        return np.eye(4) if key is None else self.solution.pose(key)
+
+    def ring_errors(self, lidar: str) -> dict[SharedError, tuple[float, float]]:
+        """Return each error of a LiDAR's rings, and its standard deviation, in units of the prior's."""
+        key = self.graph.lidars[lidar]
+        models: Any = self.solution.models
+        term = models[0].term
+        errors = term.errors[term.keys.index(key)]
+        sd = np.sqrt(np.diag(self.solution.covariance([key]))) if errors else np.zeros(0)
+        values = self.solution.values.atVector(key)
+        return {error: (float(x), float(s)) for error, x, s in zip(errors, values, sd, strict=True)}
+
+
+def _unbiased(measurement: BiasedMeasurement) -> BiasedMeasurement:
+    """The measurement with ranges taken for exact: what their biases move is measured."""
+    k = len(measurement.shared)
+    kept = [i for i, error in enumerate(measurement.shared) if error.kind != RANGE_BIAS]
+    stack = measurement.stack[:, [*kept, *range(k, k + 13)]]
+    errors = tuple(measurement.shared[i] for i in kept)
+    return replace(measurement, stack=triangular(stack), shared=errors)
+
+
+def _inverse(chain: Chain) -> Chain:
+    """The chain of the inverse pose."""
+    return [step.key if isinstance(step, Inverse) else Inverse(int(step)) for step in reversed(chain)]  # type: ignore[arg-type]
