@@ -17,6 +17,7 @@ from optshape_graph.target import Chessboard, Target
 if TYPE_CHECKING:
     from optshape_graph.calibration.camera import CameraCalibration, calibrate_camera
     from optshape_graph.calibration.mocap import MocapCalibration, calibrate_mocap
+    from optshape_graph.calibration.rig import RigCalibration, calibrate_rig
     from optshape_graph.detection import Detections, detect_targets
     from optshape_graph.io import load_sensor, load_session, load_target, read_scan
     from optshape_graph.mapping import Map, load_map, map_recording, save_map
@@ -30,8 +31,10 @@ _HOME = {
     "Map": "mapping",
     "MocapCalibration": "calibration.mocap",
     "PoseEstimate": "pose",
+    "RigCalibration": "calibration.rig",
     "calibrate_camera": "calibration.camera",
     "calibrate_mocap": "calibration.mocap",
+    "calibrate_rig": "calibration.rig",
     "detect_targets": "detection",
     "estimate_pose": "pose",
     "load_map": "mapping",
@@ -55,6 +58,7 @@ __all__ = [
     "MocapCalibration",
     "OptshapeError",
     "PoseEstimate",
+    "RigCalibration",
     "Scan",
     "SensorModel",
     "Target",
@@ -62,6 +66,7 @@ __all__ = [
     "__version__",
     "calibrate_camera",
     "calibrate_mocap",
+    "calibrate_rig",
     "detect_targets",
     "estimate_pose",
     "load_map",

@@ -79,7 +79,7 @@ def read(group: Sequence[R], T_base_sensor: Mapping[str, Floats]) -> tuple[Float
     Returns:
         T_base_target (4, 4), and for each sighting the number of the reading that agrees best, and whether it agrees.
     """
-    # Where all is read up to the target's symmetries, the reference is as it is read: the others are the same placement.
+    # Where all are read up to the target's symmetries, the reference is as it is read: the others are the same place.
     reference = next((r for r in group if r.relative), group[0])
     options = reference.poses[:1] if all(r.relative for r in group) else reference.poses
     readings = []
