@@ -9,8 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from optshape_graph._arrays import Floats
+from optshape_graph.calibration.camera.lens import LensCheck, check_lenses
+from optshape_graph.calibration.camera.noise import noise_factors, scaled
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.reading import TargetInImage
+from optshape_graph.calibration.rig.discrepancy import settled
 from optshape_graph.calibration.rig.graph import Options, RigGraph, RigSolution
 from optshape_graph.calibration.rig.judgement import (
     check_numbers,
@@ -89,19 +92,20 @@ def calibrate(read: Read, session: Session, options: Options | None = None) -> R
         EstimationError: there is one placement only, or the views contradict each other.
         UnobservableError: nothing connects some sensor with the others.
     """
-    sightings, findings = list(read.sightings), list[Finding]()
+    sightings, findings = _with_pixel_noise(read.sightings), list[Finding]()
     check_numbers(sightings, str(session.path))
     if not session.platform_moves:
         sightings, findings = moved_targets(sightings)
     base = read.sensors[0]
+    lenses = check_lenses(s.seen for s in sightings if isinstance(s.seen, TargetInImage))
     start = find_start(sightings, base, _about(base, session.initial), session.platform_moves, read.sensors)
     options = options or Options()
-    graph = RigGraph(start, base, options)
+    graph = RigGraph(start, base, options, free_lenses=frozenset(lens.camera for lens in lenses if lens.contradicted))
     solved, left = _robustly(graph)
     scatter, freedom = scatter_of(solved)
-    as_they_come = replace(graph, options=replace(options, as_they_come=True)).solve(
-        set(solved.chi2), solved.solution.values
-    )
+    uncorrected = replace(graph, options=replace(options, as_they_come=True), loss=np.inf)
+    as_they_come = settled(uncorrected, set(solved.chi2), solved.solution.values)
+    findings += _of_lenses(lenses)
     result = RigCalibration(
         sensors=tuple(_sensor(name, session, solved, as_they_come) for name in read.sensors),
         covariance=_covariance(solved, read.sensors, widening(scatter, freedom)),
@@ -116,6 +120,27 @@ def calibrate(read: Read, session: Session, options: Options | None = None) -> R
     result = replace(result, next_placement=suggest_placement(result, solved, _information(solved)))
     used = [start.sightings[number] for number in solved.chi2]
     return replace(result, findings=(*findings, *judge(result, doubts(used), freedom)))
+
+
+def _with_pixel_noise(sightings: Sequence[Sighting]) -> list[Sighting]:
+    """Scale the pixels' noise of each camera to what is left when every image is fitted by itself."""
+    factors = noise_factors([s.seen for s in sightings if isinstance(s.seen, TargetInImage)])
+    return [
+        replace(s, seen=scaled(s.seen, factors[s.sensor])) if isinstance(s.seen, TargetInImage) else s
+        for s in sightings
+    ]
+
+
+def _of_lenses(lenses: Sequence[LensCheck]) -> list[Finding]:
+    return [
+        Finding(
+            f"the images of '{lens.camera}' contradict its lens as given ({lens.rms_px:.2f} px, "
+            f"{lens.refined_rms_px:.2f} with another): it was refined, and the result belongs to the refined lens",
+            False,
+        )
+        for lens in lenses
+        if lens.contradicted
+    ]
 
 
 def _about(base: str, initial: Sequence[About]) -> dict[str, Floats]:
@@ -144,7 +169,7 @@ def _robustly(graph: RigGraph) -> tuple[RigSolution, dict[int, str]]:
     values, tried = None, False
     for _ in range(2 * len(sightings) + 2):
         _check_sensors(graph, used)
-        solved = graph.solve(used, values)
+        solved = settled(graph, used, values)
         values = solved.solution.values
         scatter = max(1.0, scatter_of(solved)[0])
         worst = max(solved.chi2, key=lambda number: solved.chi2[number])
@@ -217,7 +242,7 @@ def _sensor(name: str, session: Session, solved: RigSolution, as_they_come: RigS
     used = [s for number in solved.chi2 if (s := solved.graph.start.sightings[number]).sensor == name]
     kind: Kind = "lidar" if name in session.lidars else "camera" if name in session.cameras else "mocap body"
     errors = solved.ring_errors(name) if any(isinstance(s.seen, TargetInScan) for s in used) else {}
-    lens = next((s.seen.camera for s in used if isinstance(s.seen, TargetInImage)), None)
+    lens = next((solved.lens(s.seen.camera) for s in used if isinstance(s.seen, TargetInImage)), None)
     rings = tuple(
         RingError(error.kind, error.ring, value, sigma)
         for error, (value, sigma) in sorted(errors.items(), key=lambda item: (item[0].kind, item[0].ring or -1))

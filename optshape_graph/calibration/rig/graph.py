@@ -5,6 +5,7 @@
     L_p = T_world_target     where a target is in a placement; on a platform that stands still, the world is the base
     B_l                      errors of LiDAR l's rings (ranges, elevations), in their standard deviations
     O_t                      (y, z) by which a printed pattern is off on target t, metres
+    K_c                      the lens of camera c, where it may be another, in standard deviations of its prior
     M_t                      how far the markers of target t are from its vertices, metres
 
 A scan measures T_target_lidar = L^-1 X E, an image and markers its inverse.
@@ -12,31 +13,34 @@ A scan measures T_target_lidar = L^-1 X E, an image and markers its inverse.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, E, L, M, O, X
+from gtsam.symbol_shorthand import B, E, K, L, M, O, X
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.calibration.camera.factors import OFFSET_SIGMA_M
+from optshape_graph.calibration.camera.factors import LENS, OFFSET_SIGMA_M
+from optshape_graph.calibration.camera.graph import Discrepancy
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.reading import TargetInImage
-from optshape_graph.calibration.rig.points import Corners, Marked, Points
+from optshape_graph.calibration.rig.points import Corners, Marked, Points, split, with_lens
 from optshape_graph.calibration.rig.sightings import Sighting, TargetInMarkers, persistent, read_as
 from optshape_graph.calibration.rig.start import Start
+from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors import RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.factors._rows import triangular
 from optshape_graph.graph import Chain, Inverse, SharedErrors, Solution, Term, solve
+from optshape_graph.se3 import adjoint, inverse
 
 MARKERS_OFF = 0.03
 """Standard deviation of a marker's place about its vertex along each axis, metres."""
 
-LOSS = 4.5
+LOSS = 3.0
 """Huber's loss turns from squares to lines at this many standard deviations of a sighting, of six degrees of freedom:
 one in ten thousand good ones exceeds it."""
 
@@ -80,11 +84,17 @@ class RigGraph(Value):
         start: with the sightings.
         base: whose frame is the platform's.
         options: what is assumed.
+        discrepancy: what the scans of LiDARs are off by beyond their noise model, by name.
+        loss: Huber's loss turns from squares to lines at this many standard deviations of a sighting.
+        free_lenses: names of the cameras whose lens may be another than given.
     """
 
     start: Start
     base: str
     options: Options = Options()
+    discrepancy: Mapping[str, Discrepancy] = field(default_factory=dict)
+    loss: float = LOSS
+    free_lenses: frozenset[str] = frozenset()
 
     @cached_property
     def sensors(self) -> dict[str, int]:
@@ -126,6 +136,10 @@ class RigGraph(Value):
             for n, measurement in zip(numbers, persistent(scans, self.options.range_bias_sigma), strict=True):
                 given = _unbiased(measurement) if self.options.as_they_come else measurement
                 found[n] = read_as(given, self.start.sightings[n].S)
+                if lidar in self.discrepancy:
+                    # Exp(x) T = T Exp(Ad(T^-1) x)
+                    by = adjoint(inverse(found[n].T_target_lidar)) * self.discrepancy[lidar].sigmas
+                    found[n] = found[n].loosened(by @ by.T)
         return found
 
     def chain(self, sighting: Sighting) -> Chain:
@@ -153,16 +167,16 @@ class RigGraph(Value):
             [self.measurements[n] for n in scans],
             [self.chain(self.start.sightings[n]) for n in scans],
             [self.lidars[self.start.sightings[n].sensor] for n in scans],
-            LOSS,
+            self.loss,
         )
         points = [self._points(self.start.sightings[n]) for n in others]
         term = Points.of(
             [one for one, _ in points],
             [_inverse(self.chain(self.start.sightings[n])) for n in others],
-            [key for _, key in points],
-            LOSS,
+            [keys for _, keys in points],
+            self.loss,
         )
-        values, factors = self._values(seen, [key for _, key in points if key is not None])
+        values, factors = self._values(seen, {key for _, keys in points for key in keys})
         shared.insert(values)
         if at is not None:
             for key in [key for key in gtsam.utilities.allPose3s(values).keys() if at.exists(key)]:  # noqa: SIM118
@@ -180,18 +194,23 @@ class RigGraph(Value):
         names |= {key: f"placement {k + 1}" for k, key in enumerate(self.placements.values())}
         return names | {key: f"rings of '{name}'" for name, key in self.lidars.items()}
 
-    def _points(self, sighting: Sighting) -> tuple[Corners | Marked, int | None]:
-        """What an image or markers say, and the key of what they share with others."""
+    def _points(self, sighting: Sighting) -> tuple[Corners | Marked, list[int]]:
+        """What an image or markers say, and the keys of what they share with others."""
         seen, number = sighting.seen, self.targets[sighting.target.name]
         if isinstance(seen, TargetInImage):
             points = seen.points.relabelled(sighting.S)
-            return Corners(points, seen.camera), O(number) if points.printed else None
+            free = sighting.sensor in self.free_lenses
+            keys = [O(number)] * points.printed + [K(self._camera(sighting.sensor))] * free
+            return Corners(points, seen.camera, free), keys
         assert isinstance(seen, TargetInMarkers)
         near = sighting.target.vertices[seen.vertices]
-        return Marked.of(seen.points, near, seen.vertices, seen.sigma, seen.of_body), M(number)
+        return Marked.of(seen.points, near, seen.vertices, seen.sigma, seen.of_body), [M(number)]
+
+    def _camera(self, name: str) -> int:
+        return list(self.start.T_base_sensor).index(name)
 
     def _values(
-        self, seen: Sequence[Sighting], shared: Sequence[int]
+        self, seen: Sequence[Sighting], shared: Collection[int]
     ) -> tuple[gtsam.Values, gtsam.NonlinearFactorGraph]:
         """Initial values, and the priors of what sightings of points share."""
         start, values, factors = self.start, gtsam.Values(), gtsam.NonlinearFactorGraph()
@@ -201,15 +220,13 @@ class RigGraph(Value):
         for key, T in poses.items():
             values.insert(key, gtsam.Pose3(T))
         sizes = {name: len(s.target) for s in seen for name in [s.target.name]}
-        for name, number in self.targets.items():
-            for key, sigmas in (
-                (O(number), np.array(OFFSET_SIGMA_M[1:])),
-                (M(number), np.full(3 * sizes.get(name, 0), MARKERS_OFF)),
-            ):
-                if key in shared:
-                    values.insert(key, np.zeros(len(sigmas)))
-                    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-                    factors.push_back(gtsam.PriorFactorVector(key, np.zeros(len(sigmas)), noise))
+        sigmas = {O(number): np.array(OFFSET_SIGMA_M[1:]) for number in self.targets.values()}
+        sigmas |= {M(n): np.full(3 * sizes[name], MARKERS_OFF) for name, n in self.targets.items() if name in sizes}
+        sigmas |= {K(self._camera(name)): np.ones(len(LENS)) for name in self.free_lenses}
+        for key in sorted(shared):
+            values.insert(key, np.zeros(len(sigmas[key])))
+            noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas[key])
+            factors.push_back(gtsam.PriorFactorVector(key, np.zeros(len(sigmas[key])), noise))
         return values, factors
 
 
@@ -250,11 +267,11 @@ class RigSolution(Value):
             found[n] = Linked([*keys, scans.term.keys[s]], [*by, own], d, R)
         first = np.array([rows[:6, :6] for rows in points.rows]).reshape(-1, 6, 6)
         blocks = points.term.chains.derivatives(first, points.state)
-        for n, keys, by, rows, key in zip(
+        for n, keys, by, rows, shared in zip(
             self.others, points.term.chains.keys, blocks, points.rows, points.term.keys, strict=True
         ):
-            shared = ([], []) if key is None else ([key], [rows[:6, 6:-1]])
-            found[n] = Linked([*keys, *shared[0]], [*by, *shared[1]], rows[:6, -1], rows[:6, :6])
+            columns = split(rows[:6, 6:-1], shared, points.state)
+            found[n] = Linked([*keys, *shared], [*by, *columns], rows[:6, -1], rows[:6, :6])
         return found
 
     def pair(self, a: str, b: str) -> tuple[Floats, Floats]:
@@ -273,6 +290,12 @@ class RigSolution(Value):
         key = self.graph.sensors.get(name)
         return np.eye(4) if key is None else self.solution.pose(key)
 
+    def lens(self, camera: CameraIntrinsics) -> CameraIntrinsics:
+        """Return a camera's intrinsics: as given, or, where the lens may be another, the likeliest."""
+        if camera.name not in self.graph.free_lenses:
+            return camera
+        return with_lens(camera, self.solution.values.atVector(K(self.graph._camera(camera.name))))
+
     def ring_errors(self, lidar: str) -> dict[SharedError, tuple[float, float]]:
         """Return each error of a LiDAR's rings, and its standard deviation, in units of the prior's."""
         key = self.graph.lidars[lidar]
@@ -285,12 +308,12 @@ class RigSolution(Value):
 
 
 def _unbiased(measurement: BiasedMeasurement) -> BiasedMeasurement:
-    """The measurement with ranges taken for exact: what their biases move is measured."""
+    """The measurement with ranges taken for exact: what their biases move is measured. Other errors are each scan's."""
     k = len(measurement.shared)
     kept = [i for i, error in enumerate(measurement.shared) if error.kind != RANGE_BIAS]
     stack = measurement.stack[:, [*kept, *range(k, k + 13)]]
     errors = tuple(measurement.shared[i] for i in kept)
-    return replace(measurement, stack=triangular(stack), shared=errors)
+    return replace(measurement, stack=triangular(stack), shared=errors).without(errors)
 
 
 def _inverse(chain: Chain) -> Chain:

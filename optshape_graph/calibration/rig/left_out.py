@@ -40,10 +40,13 @@ class Off:
     chi_square: float
 
 
-def left_out(solved: RigSolution) -> dict[int, Off]:
-    """Compare every sighting, by its number, with the others of its placement by the rig of all other placements.
+def predictions(solved: RigSolution) -> dict[int, tuple[Floats, Floats]]:
+    """Predict every sighting, by its number, from the others of its placement and the rig of all other placements.
 
     A sighting has no entry where too little is left to say where the target is.
+
+    Returns:
+        How everything moves (n,), and the covariance (n, n) of that.
     """
     system, graph = solved.solution.system, solved.graph
     n = system.A.shape[1]
@@ -56,14 +59,30 @@ def left_out(solved: RigSolution) -> dict[int, Off]:
     for number in solved.linked:
         sighting = graph.start.sightings[number]
         groups.setdefault((sighting.placement, sighting.moment if graph.moments else 0), []).append(number)
-    found: dict[int, Off] = {}
+    found: dict[int, tuple[Floats, Floats]] = {}
     for numbers in groups.values():
         if len(numbers) > 1:
             found |= _of_placement(solved, information, numbers)
     return found
 
 
-def _of_placement(solved: RigSolution, information: Floats, numbers: Collection[int]) -> dict[int, Off]:
+def left_out(solved: RigSolution) -> dict[int, Off]:
+    """Compare every sighting, by its number, with its prediction, where it has one."""
+    columns, found = solved.solution.system.columns, {}
+    for number, (predicted, spread) in predictions(solved).items():
+        link = solved.linked[number]
+        rows = _rows(link, columns, len(predicted))
+        residual, whole = link.d + rows @ predicted, np.eye(6) + rows @ spread @ rows.T
+        chi_square = float(residual @ np.linalg.solve(whole, residual))
+        xi = np.asarray(-np.linalg.lstsq(link.by_pose, residual, rcond=1e-9)[0], float)
+        centre = _moved(solved.graph.start.sightings[number], xi)
+        found[number] = Off(centre, float(np.degrees(np.linalg.norm(xi[:3]))), chi_square)
+    return found
+
+
+def _of_placement(
+    solved: RigSolution, information: Floats, numbers: Collection[int]
+) -> dict[int, tuple[Floats, Floats]]:
     columns = solved.solution.system.columns
     rows = {number: _rows(solved.linked[number], columns, len(information)) for number in numbers}
     A, d = np.vstack(list(rows.values())), np.concatenate([solved.linked[number].d for number in numbers])
@@ -72,7 +91,7 @@ def _of_placement(solved: RigSolution, information: Floats, numbers: Collection[
     own = columns[solved.graph.placements[solved.graph.start.sightings[next(iter(numbers))].placement]]
     without[np.arange(own.start, own.stop), np.arange(own.start, own.stop)] += WEAK * np.diag(information)[own]
     try:
-        covariance = np.linalg.inv(without)
+        covariance = np.asarray(np.linalg.inv(without), float)
     except np.linalg.LinAlgError:
         return {}
     step = covariance @ (A.T @ d)
@@ -84,15 +103,8 @@ def _of_placement(solved: RigSolution, information: Floats, numbers: Collection[
         # The others of the placement tell where the target is; with them the covariance is that of a prediction.
         gain = covariance @ J.T @ np.linalg.inv(np.eye(len(J)) + J @ covariance @ J.T)
         predicted, spread = step - gain @ r, covariance - gain @ J @ covariance
-        if np.sqrt(np.abs(np.diag(spread)[own])).max() > DECIDES:
-            continue
-        link = solved.linked[number]
-        residual = link.d + rows[number] @ predicted
-        whole = np.eye(6) + rows[number] @ spread @ rows[number].T
-        chi_square = float(residual @ np.linalg.solve(whole, residual))
-        xi = -np.linalg.lstsq(link.by_pose, residual, rcond=1e-9)[0]
-        centre = _moved(solved.graph.start.sightings[number], xi)
-        found[number] = Off(centre, float(np.degrees(np.linalg.norm(xi[:3]))), chi_square)
+        if np.sqrt(np.abs(np.diag(spread)[own])).max() <= DECIDES:
+            found[number] = predicted, spread
     return found
 
 

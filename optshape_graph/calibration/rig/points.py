@@ -1,7 +1,8 @@
 """Points of a target that a sensor sees, as a term of the engine: corners in images, markers of motion capture.
 
-A sighting is of T_sensor_target, a chain, and of a vector beta that sightings of one target share: where its pattern
-lies, or its markers. Linearised, its rows reduce to [R_xi R_beta d; 0 S s], as those of scans with a LiDAR's errors do.
+A sighting is of T_sensor_target, a chain, and of vectors that sightings of one target or camera share: where a pattern
+or markers lie, a lens. beta are these, one after the other. Linearised, its rows reduce to [R_xi R_beta d; 0 S s], as
+those of scans with a LiDAR's errors do.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value
+from optshape_graph.calibration.camera.factors import INTRINSICS_SIGMA, LENS, CompiledCamera
+from optshape_graph.calibration.camera.lens import lens_derivative
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import whitened_errors
 from optshape_graph.camera import CameraIntrinsics
@@ -32,26 +35,43 @@ class Seen(Protocol):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Corners(Value):
-    """Points of a target in an image; beta is (y, z) of a printed pattern on its board, metres, or nothing.
+    """Points of a target in an image.
+
+    beta is (y, z) of a printed pattern on its board, metres, where the points are a pattern's; then the lens, in
+    standard deviations from the one given, where it is free.
 
     Attributes:
         points: as the sighting is read.
-        camera: the lens.
+        camera: the lens as given.
+        free: whether it may be another.
     """
 
     points: ImagePoints
     camera: CameraIntrinsics
+    free: bool = False
 
     def whitened(self, T_sensor_target: Floats, beta: Floats) -> tuple[Floats, Floats, Floats]:
         """See `Seen.whitened`."""
-        T = np.array(T_sensor_target)
-        moved = np.append(0.0, beta) if len(beta) else np.zeros(3)
+        printed = 2 * self.points.printed
+        camera = with_lens(self.camera, beta[printed:]) if self.free else self.camera
+        T, moved = np.array(T_sensor_target), np.append(0.0, beta[:2]) if printed else np.zeros(3)
         T[:3, 3] += T[:3, :3] @ moved  # a pattern that is moved on its board is a board that is moved
-        r, by_pattern = whitened_errors(self.points, self.camera, T)
+        r, by_pattern = whitened_errors(self.points, camera, T)
         # T Exp(xi) Trans(m) = T Trans(m) Exp(xi') with xi' = (w, v - m x w)
         by_pose = by_pattern.copy()
         by_pose[:, :3] -= by_pattern[:, 3:] @ skew(moved)
-        return r, by_pose, by_pattern[:, 4:6] if len(beta) else np.zeros((len(r), 0))
+        columns = [by_pattern[:, 4 : 4 + printed]]
+        if self.free:
+            columns.append(lens_derivative(self.points, CompiledCamera.of(camera), T) * INTRINSICS_SIGMA[LENS])
+        return r, by_pose, np.hstack(columns)
+
+
+def with_lens(camera: CameraIntrinsics, beta: Floats) -> CameraIntrinsics:
+    """Return intrinsics with a lens (8,), in standard deviations of its prior from the given one."""
+    compiled = CompiledCamera.of(camera)
+    vector = compiled.vector
+    vector[LENS] += INTRINSICS_SIGMA[LENS] * beta
+    return compiled.refined(vector)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,27 +117,27 @@ class Points(Value):
     Attributes:
         chains: of T_sensor_target.
         seen: (m,) sightings.
-        keys: (m,) of the vector that each shares with others; None: of none.
+        keys: (m,) of the vectors that each shares with others, in the order of beta.
         loss: of Huber, as in `Templates`.
     """
 
     chains: Chains
     seen: tuple[Seen, ...]
-    keys: tuple[int | None, ...]
+    keys: tuple[tuple[int, ...], ...]
     loss: float = np.inf
 
     @classmethod
     def of(
-        cls, seen: Sequence[Seen], chains: Sequence[Chain], keys: Sequence[int | None], loss: float = np.inf
+        cls, seen: Sequence[Seen], chains: Sequence[Chain], keys: Sequence[Sequence[int]], loss: float = np.inf
     ) -> Points:
         """Return the term of sightings (m,), what T_sensor_target is made of (m,), and the keys of what they share."""
-        return cls(Chains(chains), tuple(seen), tuple(keys), loss)
+        return cls(Chains(chains), tuple(seen), tuple(tuple(own) for own in keys), loss)
 
     def at(self, state: State) -> PointsModel:
         """Return the Gauss-Newton model of every sighting at a state."""
         rows, floors = [], np.zeros(len(self.seen))
-        for n, (seen, key, T) in enumerate(zip(self.seen, self.keys, self.chains.at(state), strict=True)):
-            beta = np.zeros(0) if key is None else np.asarray(state.values.atVector(key))
+        for n, (seen, keys, T) in enumerate(zip(self.seen, self.keys, self.chains.at(state), strict=True)):
+            beta = np.concatenate([np.zeros(0), *(state.values.atVector(key) for key in keys)])
             r, by_pose, by_beta = seen.whitened(T, beta)
             R = triangular(np.column_stack([by_pose, by_beta, r]))
             k = 6 + len(beta)
@@ -169,7 +189,13 @@ class PointsModel(Value):
             by_pose[n, : len(rows)] = rows[:, :6]
             weighted.append(rows)
         blocks = self.term.chains.derivatives(by_pose, self.state)
-        for keys, by, rows, key in zip(self.term.chains.keys, blocks, weighted, self.term.keys, strict=True):
+        for keys, by, rows, shared in zip(self.term.chains.keys, blocks, weighted, self.term.keys, strict=True):
             m = len(rows)
-            own, shared = ([], []) if key is None else ([key], [rows[:, 6:-1]])
-            add_rows(linear, [*keys, *own], [*(b[:m] for b in by), *shared], -rows[:, -1])
+            columns = split(rows[:, 6:-1], shared, self.state)
+            add_rows(linear, [*keys, *shared], [*(b[:m] for b in by), *columns], -rows[:, -1])
+
+
+def split(by_beta: Floats, keys: Sequence[int], state: State) -> list[Floats]:
+    """Split columns by beta into those of each vector."""
+    ends = np.cumsum([len(state.values.atVector(key)) for key in keys])
+    return np.split(by_beta, ends[:-1], axis=1) if keys else []
