@@ -18,9 +18,9 @@ from optshape_graph.io import load_sensor, load_target, save_camera, save_sensor
 from optshape_graph.io.documents import write_yaml
 from optshape_graph.io.files import write_atomically
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import apply, inverse, transform
+from optshape_graph.se3 import apply, inverse, rotation, transform
 from optshape_graph.sensor import SensorModel
-from optshape_graph.simulation import NoiseModel, simulate_target
+from optshape_graph.simulation import NoiseModel, Patch, Scene, simulate, simulate_target
 from optshape_graph.target import Target
 
 AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -104,12 +104,32 @@ class SimulatedRig(Value):
 
         Each ring fires where it really looks, and reports what its table says.
         """
-        model = self.lidars[lidar]
-        really = replace(model, elevations=np.maximum.accumulate(model.elevations + self.elevation[lidar]))
         T = inverse(self.T_base_sensor[lidar]) @ T_base_target
         scan = simulate_target(
-            target, really, T, noise=NoiseModel.of(model), rng=rng, range_bias=self.range_bias[lidar], name=name
-        )
+            target, self._really(lidar), T, noise=NoiseModel.of(self.lidars[lidar]), rng=rng,
+            range_bias=self.range_bias[lidar], name=name,
+        )  # fmt: skip
+        return self._reported(lidar, scan)
+
+    def moving_scan(
+        self, lidar: str, target: Target, path: Carried, start: float, rng: np.random.Generator, name: str
+    ) -> Scan:
+        """Return a LiDAR's returns on a target that moves, of a revolution that begins at a time, seconds."""
+        motion = _Relative(path, self.T_base_sensor[lidar], start)
+        scan = simulate(
+            Scene((Patch(target, np.eye(4)),)), self._really(lidar), motion, noise=NoiseModel.of(self.lidars[lidar]),
+            rng=rng, range_bias=self.range_bias[lidar], name=name,
+        ).scan  # fmt: skip
+        return self._reported(lidar, scan)
+
+    def _really(self, lidar: str) -> SensorModel:
+        """The LiDAR with its rings where they look."""
+        model = self.lidars[lidar]
+        return replace(model, elevations=model.elevations + self.elevation[lidar])
+
+    def _reported(self, lidar: str, scan: Scan) -> Scan:
+        """A scan with every return where the table of its ring puts it."""
+        model = self.lidars[lidar]
         if not len(scan):
             return replace(scan, sensor=model)
         assert scan.ring is not None
@@ -132,6 +152,53 @@ class SimulatedRig(Value):
         if (pixels < 5).any() or (pixels > (lens.width - 6, lens.height - 6)).any():
             return None
         return points, pixels + rng.normal(0.0, CORNER_PX, pixels.shape)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Carried(Value):
+    """A target carried about, with turns: a sum of slow waves about a place.
+
+    Attributes:
+        T_base_target: (4, 4) in the middle.
+        sizes: (K, 6) of the waves, by each component of the motion, rotation first: rad and metres.
+        rates: (K, 6) rad/s.
+        phases: (K, 6) rad.
+    """
+
+    T_base_target: Floats
+    sizes: Floats
+    rates: Floats
+    phases: Floats
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> Carried:
+        """Draw a motion at half a metre to a metre a second, about three metres ahead, with turns of up to 30 deg."""
+        centre = np.array([rng.uniform(3.0, 3.6), rng.uniform(-0.3, 0.3), rng.uniform(0.0, 0.3)])
+        turn = Rotation.from_euler("ZYX", [rng.uniform(-0.2, 0.2), rng.uniform(-0.2, 0.2), rng.uniform(-3, 3)])
+        rates = rng.uniform(0.9, 1.6, (2, 6)) * np.array([[1.0], [1.7]])
+        sizes = rng.uniform(0.7, 1.0, (2, 6)) * np.array([[0.25] * 3 + [0.45, 0.6, 0.2], [0.1] * 3 + [0.15, 0.2, 0.06]])
+        return cls(transform(turn.as_matrix(), centre), sizes, rates, rng.uniform(0, 2 * np.pi, (2, 6)))
+
+    def at(self, times: Floats) -> Floats:
+        """Return T_base_target (N, 4, 4) at times (N,), seconds."""
+        waves = (self.sizes * np.sin(self.rates * np.asarray(times)[:, None, None] + self.phases)).sum(axis=1)
+        T = np.tile(self.T_base_target, (len(waves), 1, 1))
+        T[:, :3, :3] = T[:, :3, :3] @ rotation(waves[:, :3])
+        T[:, :3, 3] += waves[:, 3:]
+        return T
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Relative(Value):
+    """How a sensor moves in the frame of a target that is carried."""
+
+    carried: Carried
+    T_base_sensor: Floats
+    start: float
+
+    def at(self, times: Floats) -> tuple[Floats, Floats]:
+        T = inverse(self.carried.at(times + self.start)) @ self.T_base_sensor
+        return T[:, :3, :3], T[:, :3, 3]
 
 
 def pattern(target: Target) -> Floats:

@@ -25,11 +25,12 @@ from optshape_graph.calibration.rig.judgement import (
     widening,
 )
 from optshape_graph.calibration.rig.left_out import Off, left_out
+from optshape_graph.calibration.rig.moving import Clocks, connect, solve_moving
 from optshape_graph.calibration.rig.next_placement import suggest_placement
 from optshape_graph.calibration.rig.reading import Read, read_sightings
 from optshape_graph.calibration.rig.result import DISAGREES, RigCalibration, RigSensor, RingError, SightingResult
 from optshape_graph.calibration.rig.sightings import Kind, Sighting
-from optshape_graph.calibration.rig.start import Start, find_start
+from optshape_graph.calibration.rig.start import Start, connected_by, find_start
 from optshape_graph.calibration.verdict import Finding
 from optshape_graph.errors import EstimationError
 from optshape_graph.io.passed_over import PassedOver
@@ -94,31 +95,46 @@ def calibrate(read: Read, session: Session, options: Options | None = None) -> R
     """
     sightings, findings = _with_pixel_noise(read.sightings), list[Finding]()
     check_numbers(sightings, str(session.path))
-    if not session.platform_moves:
-        sightings, findings = moved_targets(sightings)
-    base = read.sensors[0]
     lenses = check_lenses(s.seen for s in sightings if isinstance(s.seen, TargetInImage))
-    start = find_start(sightings, base, _about(base, session.initial), session.platform_moves, read.sensors)
+    findings += _of_lenses(lenses)
+    moving = [sighting for sighting in sightings if sighting.moving]
+    still = [sighting for sighting in sightings if not sighting.moving]
+    if not session.platform_moves:
+        still, moved = moved_targets(still)
+        findings += moved
+    # Clocks are told against that of a sensor that saw something move.
+    base = moving[0].sensor if moving and all(s.sensor != read.sensors[0] for s in moving) else read.sensors[0]
+    sensors = (base, *(name for name in read.sensors if name != base))
+    places, offsets = _about(base, session.initial), dict[str, float]()
+    if moving:
+        seen_still = {base, *(s.sensor for s in still)}
+        if len(seen_still) > 1:
+            places = connected_by(still, base, places, session.platform_moves)
+        places, offsets, moving = connect(moving, base, places)
+    start = find_start(still, base, places, session.platform_moves, sensors)
     options = options or Options()
     graph = RigGraph(start, base, options, free_lenses=frozenset(lens.camera for lens in lenses if lens.contradicted))
-    solved, left = _robustly(graph)
+    left, clocks = dict[int, str](), Clocks()
+    if moving:
+        solved, clocks = solve_moving(graph, moving, offsets)
+    else:
+        solved, left = _robustly(graph)
     scatter, freedom = scatter_of(solved)
-    uncorrected = replace(graph, options=replace(options, as_they_come=True), loss=np.inf)
+    uncorrected = replace(solved.graph, options=replace(options, as_they_come=True), loss=np.inf, discrepancy={})
     as_they_come = settled(uncorrected, set(solved.chi2), solved.solution.values)
-    findings += _of_lenses(lenses)
     result = RigCalibration(
-        sensors=tuple(_sensor(name, session, solved, as_they_come) for name in read.sensors),
-        covariance=_covariance(solved, read.sensors, widening(scatter, freedom)),
-        time_covariance=np.zeros((len(read.sensors) - 1,) * 2),
-        middle=middle_of(start.sightings, start.T_base_sensor),
+        sensors=tuple(_sensor(name, session, solved, as_they_come, clocks) for name in sensors),
+        covariance=_covariance(solved, sensors, widening(scatter, freedom)),
+        time_covariance=_time_covariance(sensors, clocks),
+        middle=middle_of(solved.graph.start.sightings, start.T_base_sensor),
         scatter=scatter,
-        sightings=_results(start, solved, left),
+        sightings=_results(solved.graph.start, solved, left),
         unobservable=tuple(direction.text for direction in solved.solution.unobservable),
         next_placement=None,
         findings=tuple(findings),
     )
     result = replace(result, next_placement=suggest_placement(result, solved, _information(solved)))
-    used = [start.sightings[number] for number in solved.chi2]
+    used = [solved.graph.start.sightings[number] for number in solved.chi2]
     return replace(result, findings=(*findings, *judge(result, doubts(used), freedom)))
 
 
@@ -222,9 +238,8 @@ def _distance(solved: RigSolution, number: int) -> float:
     predicted, sighting = _predicted(solved, number), solved.graph.start.sightings[number]
     if predicted is None:
         return np.inf
-    candidate = next(c for c in sighting.candidates if np.array_equal(c.S, sighting.S))
     x = difference(sighting.pose, predicted)
-    return float(x @ np.linalg.solve(candidate.covariance + SLACK, x))
+    return float(x @ np.linalg.solve(sighting.candidates[sighting.reading].covariance + SLACK, x))
 
 
 def _disagreement(solved: RigSolution, number: int) -> str:
@@ -238,7 +253,7 @@ def _disagreement(solved: RigSolution, number: int) -> str:
     )
 
 
-def _sensor(name: str, session: Session, solved: RigSolution, as_they_come: RigSolution) -> RigSensor:
+def _sensor(name: str, session: Session, solved: RigSolution, as_they_come: RigSolution, clocks: Clocks) -> RigSensor:
     used = [s for number in solved.chi2 if (s := solved.graph.start.sightings[number]).sensor == name]
     kind: Kind = "lidar" if name in session.lidars else "camera" if name in session.cameras else "mocap body"
     errors = solved.ring_errors(name) if any(isinstance(s.seen, TargetInScan) for s in used) else {}
@@ -248,7 +263,7 @@ def _sensor(name: str, session: Session, solved: RigSolution, as_they_come: RigS
         for error, (value, sigma) in sorted(errors.items(), key=lambda item: (item[0].kind, item[0].ring or -1))
     )
     T, T_come = solved.T_base_sensor(name), as_they_come.T_base_sensor(name)
-    return RigSensor(name, kind, T, T_come, 0.0, len(used), rings, lens)
+    return RigSensor(name, kind, T, T_come, clocks.offsets.get(name, 0.0), len(used), rings, lens)
 
 
 def _covariance(solved: RigSolution, sensors: Sequence[str], factor: float) -> Floats:
@@ -258,6 +273,14 @@ def _covariance(solved: RigSolution, sensors: Sequence[str], factor: float) -> F
     """
     keys = [solved.graph.sensors[name] for name in sensors[1:]]
     return factor * solved.solution.system.covariance(keys)
+
+
+def _time_covariance(sensors: Sequence[str], clocks: Clocks) -> Floats:
+    """Covariance of the offsets of all but the base; 0 where they are not told."""
+    covariance = np.zeros((len(sensors) - 1,) * 2)
+    places = [sensors.index(name) - 1 for name in clocks.names]
+    covariance[np.ix_(places, places)] = clocks.covariance
+    return covariance
 
 
 def _results(start: Start, solved: RigSolution, left: Mapping[int, str]) -> tuple[SightingResult, ...]:

@@ -6,6 +6,7 @@
     B_l                      errors of LiDAR l's rings (ranges, elevations), in their standard deviations
     O_t                      (y, z) by which a printed pattern is off on target t, metres
     K_c                      the lens of camera c, where it may be another, in standard deviations of its prior
+    V_p, D_c                 twists of a target that moves, and clocks: see `tracks` (a LiDAR's is among its errors)
     M_t                      how far the markers of target t are from its vertices, metres
 
 A scan measures T_target_lidar = L^-1 X E, an image and markers its inverse.
@@ -16,20 +17,22 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, E, K, L, M, O, X
+from gtsam.symbol_shorthand import B, D, E, K, L, M, O, V, X
 
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.factors import LENS, OFFSET_SIGMA_M
 from optshape_graph.calibration.camera.graph import Discrepancy
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.reading import TargetInImage
-from optshape_graph.calibration.rig.points import Corners, Marked, Points, split, with_lens
+from optshape_graph.calibration.rig.points import Corners, Marked, Points, Seen, split, with_lens
 from optshape_graph.calibration.rig.sightings import Sighting, TargetInMarkers, persistent, read_as
 from optshape_graph.calibration.rig.start import Start
+from optshape_graph.calibration.rig.tracks import CLOCK_SIGMA, START_DENSITY, Smooth, Timed, Track
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors import RANGE_BIAS, BiasedMeasurement, SharedError
@@ -39,6 +42,9 @@ from optshape_graph.se3 import adjoint, inverse
 
 MARKERS_OFF = 0.03
 """Standard deviation of a marker's place about its vertex along each axis, metres."""
+
+CLOCK = SharedError("clock")
+"""By how much a LiDAR's clock is ahead, among the errors that its scans share."""
 
 LOSS = 3.0
 """Huber's loss turns from squares to lines at this many standard deviations of a sighting, of six degrees of freedom:
@@ -87,6 +93,8 @@ class RigGraph(Value):
         discrepancy: what the scans of LiDARs are off by beyond their noise model, by name.
         loss: Huber's loss turns from squares to lines at this many standard deviations of a sighting.
         free_lenses: names of the cameras whose lens may be another than given.
+        tracks: of targets that move.
+        density: of acceleration along them: rotation, rad^2/s^3, and translation, m^2/s^3.
     """
 
     start: Start
@@ -95,6 +103,17 @@ class RigGraph(Value):
     discrepancy: Mapping[str, Discrepancy] = field(default_factory=dict)
     loss: float = LOSS
     free_lenses: frozenset[str] = frozenset()
+    tracks: tuple[Track, ...] = ()
+    density: tuple[float, float] = START_DENSITY
+
+    @cached_property
+    def twists(self) -> dict[int, Floats]:
+        """Twist (6,) of the target at each sighting of one that moves, by number."""
+        return {n: V for track in self.tracks for n, V in zip(track.numbers, track.twists, strict=True)}
+
+    def twist_key(self, number: int) -> int:
+        """Return the key of the twist at a sighting."""
+        return int(V(gtsam.Symbol(self.placements[self.start.sightings[number].placement]).index()))
 
     @cached_property
     def sensors(self) -> dict[str, int]:
@@ -140,6 +159,9 @@ class RigGraph(Value):
                     # Exp(x) T = T Exp(Ad(T^-1) x)
                     by = adjoint(inverse(found[n].T_target_lidar)) * self.discrepancy[lidar].sigmas
                     found[n] = found[n].loosened(by @ by.T)
+                if n in self.twists and lidar != self.base:
+                    effect = -CLOCK_SIGMA * self.twists[n][:, None]
+                    found[n] = found[n].displaced([CLOCK], effect, found[n].T_target_lidar)
         return found
 
     def chain(self, sighting: Sighting) -> Chain:
@@ -169,7 +191,7 @@ class RigGraph(Value):
             [self.lidars[self.start.sightings[n].sensor] for n in scans],
             self.loss,
         )
-        points = [self._points(self.start.sightings[n]) for n in others]
+        points = [self._points(n) for n in others]
         term = Points.of(
             [one for one, _ in points],
             [_inverse(self.chain(self.start.sightings[n])) for n in others],
@@ -178,10 +200,13 @@ class RigGraph(Value):
         )
         values, factors = self._values(seen, {key for _, keys in points for key in keys})
         shared.insert(values)
+        motion = self._motion(set(numbers))
+        for key, twist in [(self.twist_key(n), self.twists[n]) for n in numbers if n in self.twists]:
+            values.insert(key, twist)
         if at is not None:
             for key in [key for key in gtsam.utilities.allPose3s(values).keys() if at.exists(key)]:  # noqa: SIM118
                 values.update(key, at.atPose3(key))
-        terms: list[Term] = [shared, term]
+        terms: list[Term] = [shared, term, *motion]
         solution = solve(values, terms, factors, self.names())
         if not solution.converged:
             raise EstimationError("the rig's graph did not converge: views contradict each other")
@@ -194,8 +219,28 @@ class RigGraph(Value):
         names |= {key: f"placement {k + 1}" for k, key in enumerate(self.placements.values())}
         return names | {key: f"rings of '{name}'" for name, key in self.lidars.items()}
 
-    def _points(self, sighting: Sighting) -> tuple[Corners | Marked, list[int]]:
+    def _motion(self, used: Collection[int]) -> list[Smooth]:
+        """How targets move from sighting to sighting."""
+        terms = []
+        for track in self.tracks:
+            kept = [(n, time) for n, time in zip(track.numbers, track.times, strict=True) if n in used]
+            poses = [(self.placements[self.start.sightings[n].placement], self.twist_key(n)) for n, _ in kept]
+            pairs = list(pairwise(poses))
+            seconds = np.diff([time for _, time in kept])
+            if pairs:
+                pose_keys, twist_keys = ([(a[k], b[k]) for a, b in pairs] for k in (0, 1))
+                terms.append(Smooth.of(pose_keys, twist_keys, seconds, np.array(self.density)))
+        return terms
+
+    def _points(self, number: int) -> tuple[Seen, list[int]]:
         """What an image or markers say, and the keys of what they share with others."""
+        sighting = self.start.sightings[number]
+        seen, keys = self._seen(sighting)
+        if number in self.twists and sighting.sensor != self.base:
+            return Timed(seen, self.twists[number]), [*keys, D(self._camera(sighting.sensor))]
+        return seen, keys
+
+    def _seen(self, sighting: Sighting) -> tuple[Seen, list[int]]:
         seen, number = sighting.seen, self.targets[sighting.target.name]
         if isinstance(seen, TargetInImage):
             points = seen.points.relabelled(sighting.S)
@@ -223,6 +268,7 @@ class RigGraph(Value):
         sigmas = {O(number): np.array(OFFSET_SIGMA_M[1:]) for number in self.targets.values()}
         sigmas |= {M(n): np.full(3 * sizes[name], MARKERS_OFF) for name, n in self.targets.items() if name in sizes}
         sigmas |= {K(self._camera(name)): np.ones(len(LENS)) for name in self.free_lenses}
+        sigmas |= {D(self._camera(name)): np.ones(1) for name in start.T_base_sensor}
         for key in sorted(shared):
             values.insert(key, np.zeros(len(sigmas[key])))
             noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas[key])
@@ -257,7 +303,7 @@ class RigSolution(Value):
     def linked(self) -> dict[int, Linked]:
         """Of each sighting, by number, its rows that link poses and what it shares with others."""
         models: Any = self.solution.models
-        scans, points = models
+        scans, points, *_ = models
         found = {}
         for n, keys, by, R, by_errors, d, s in zip(
             self.scans, scans.term.chains.keys, scans.term.chains.derivatives(scans.R, scans.state),
@@ -296,6 +342,36 @@ class RigSolution(Value):
             return camera
         return with_lens(camera, self.solution.values.atVector(K(self.graph._camera(camera.name))))
 
+    def clocks(self) -> tuple[dict[str, float], Floats]:
+        """Return by how much more than taken each sensor's clock is ahead of the base's, and the covariance (n, n).
+
+        Sensors that saw nothing move are left out; seconds, in the order of the names.
+        """
+        names, keys, places = list[str](), list[int](), list[int]()
+        values, size = self.solution.values, 0
+        models: Any = self.solution.models
+        term = models[0].term
+        for name in self.graph.start.T_base_sensor:
+            key, place = D(self.graph._camera(name)), 0
+            if name in self.graph.lidars:
+                key = self.graph.lidars[name]
+                errors = term.errors[term.keys.index(key)] if key in term.keys else ()
+                if CLOCK not in errors:
+                    continue
+                place = errors.index(CLOCK)
+            elif not values.exists(key):
+                continue
+            names.append(name)
+            places.append(size + place)
+            keys.append(key)
+            size += len(values.atVector(key))
+        if not names:
+            return {}, np.zeros((0, 0))
+        whole = np.concatenate([values.atVector(key) for key in keys])
+        covariance = self.solution.system.covariance(keys)[np.ix_(places, places)]
+        offsets = {name: float(CLOCK_SIGMA * whole[place]) for name, place in zip(names, places, strict=True)}
+        return offsets, CLOCK_SIGMA**2 * covariance
+
     def ring_errors(self, lidar: str) -> dict[SharedError, tuple[float, float]]:
         """Return each error of a LiDAR's rings, and its standard deviation, in units of the prior's."""
         key = self.graph.lidars[lidar]
@@ -304,7 +380,7 @@ class RigSolution(Value):
         errors = term.errors[term.keys.index(key)]
         sd = np.sqrt(np.diag(self.solution.covariance([key]))) if errors else np.zeros(0)
         values = self.solution.values.atVector(key)
-        return {error: (float(x), float(s)) for error, x, s in zip(errors, values, sd, strict=True)}
+        return {e: (float(x), float(s)) for e, x, s in zip(errors, values, sd, strict=True) if e != CLOCK}
 
 
 def _unbiased(measurement: BiasedMeasurement) -> BiasedMeasurement:

@@ -43,9 +43,12 @@ MOVED = (0.02, 40.0)
 def scatter_of(solved: RigSolution) -> tuple[float, int]:
     """Return the mean square of what sightings are off by, in their standard deviations, and its degrees of freedom."""
     graph = solved.graph
-    freedom = 6 * (len(solved.chi2) - len(graph.placements) - len(graph.sensors) - len(graph.moments))
-    freedom = max(freedom, 1)
-    return sum(solved.chi2.values()) / freedom, freedom
+    still = [n for n in solved.chi2 if n not in graph.twists]
+    placements = {graph.start.sightings[n].placement for n in still}
+    freedom = 6 * (len(still) - len(placements) - len(graph.sensors) - len(graph.moments))
+    if freedom <= 0:  # what moves is smoothed, and by how much was estimated
+        return 1.0, 1
+    return sum(solved.chi2[n] for n in still) / freedom, freedom
 
 
 def widening(scatter: float, freedom: int) -> float:
@@ -124,10 +127,10 @@ def _square(rings: Sequence[RingError]) -> tuple[float, int]:
 
 
 def check_numbers(sightings: Sequence[Sighting], where: str) -> None:
-    """Raise if there is one placement only, or if a sensor's stamps never meet the others'.
+    """Raise if there is one placement only, or if a sensor saw what moves at other times than all others.
 
     Raises:
-        EstimationError: one placement, or none.
+        EstimationError: one placement, or none; or stamps that never meet.
     """
     placements = dict.fromkeys((s.placement, s.moment) for s in sightings)
     if len(placements) < 2:
@@ -135,11 +138,11 @@ def check_numbers(sightings: Sequence[Sighting], where: str) -> None:
         raise EstimationError(f"{where}: {seen}; a rig calibration needs two at least, and ten to be trusted")
     times: dict[str, list[float]] = {}
     for sighting in sightings:
-        if sighting.time is not None:
+        if sighting.moving and sighting.time is not None:
             times.setdefault(sighting.sensor, []).append(sighting.time)
     for name, own in times.items():
         others = [time for other, found in times.items() if other != name for time in found]
-        if others and (min(own) > max(others) or max(own) < min(others)) and not set(own) & set(others):
+        if others and (min(own) > max(others) or max(own) < min(others)):
             raise EstimationError(
                 f"{where}: the stamps of '{name}' run from {min(own):.3f} to {max(own):.3f} s, those of others from "
                 f"{min(others):.3f} to {max(others):.3f} s: of another clock?"

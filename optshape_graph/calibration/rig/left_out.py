@@ -15,7 +15,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.calibration.rig.graph import Linked, RigSolution
 from optshape_graph.calibration.rig.sightings import Sighting
 
-MOST_UNKNOWNS = 2500
+MOST_UNKNOWNS = 1200
 """Unknowns up to which placements are left out: matrices are dense."""
 
 WEAK = 1e-9

@@ -23,6 +23,7 @@ from optshape_graph.calibration.camera.session import (
     scan_file,
     scan_tasks,
 )
+from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.mocap.comparison import MIN_MARKERS, align
 from optshape_graph.calibration.mocap.session import markers_of_vertices
 from optshape_graph.calibration.rig.points import Marked
@@ -106,8 +107,27 @@ def read_sightings(
                     problems.setdefault(file, str(found))
                 elif key not in sightings:  # a scan that several views name is one
                     placement = name if name in session.static else f"{name}@{moments[number]}"
-                    sightings[key] = Sighting(sensor, target, moments[number], placement, found, file, view.stamp)
+                    sighting = Sighting(sensor, target, moments[number], placement, found, file, view.stamp)
+                    sightings[key] = _of_moving(sighting, view, len(sightings)) if view.moving else sighting
     return Read(tuple(sightings.values()), tuple(problems.items()), sensors)
+
+
+def _of_moving(sighting: Sighting, view: View, number: int) -> Sighting:
+    """A sighting of what moves: at a time of its own, and so in a place of its own.
+
+    Raises:
+        InputError: the view has no stamp, or its cloud no times.
+    """
+    if view.stamp is None:
+        raise InputError(f"{view.where}: a view that is 'moving' needs a 'stamp', seconds on its sensor's clock")
+    time = view.stamp
+    if isinstance(sighting.seen, TargetInScan):
+        if sighting.seen.own.time is None:
+            raise InputError(
+                f"{view.where}: {sighting.file}: returns have no times; what moves is seen at each one's own"
+            )
+        time += float(sighting.seen.own.time.mean())
+    return replace(sighting, placement=f"{sighting.target.name}~{number}", time=time, moving=True)
 
 
 def _seen(

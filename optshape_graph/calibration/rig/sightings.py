@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, TypeAlias
 
@@ -14,6 +14,7 @@ from optshape_graph.calibration.camera.sightings import Candidate, TargetInScan,
 from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.factors import RANGE_BIAS, BiasedMeasurement, SharedError
 from optshape_graph.factors._rows import triangular
+from optshape_graph.scan import Scan
 from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
 
@@ -56,8 +57,10 @@ class Sighting(Value):
         placement: what tells whether the target is where it was: equal where it is.
         seen: what was seen.
         file: of the session, for messages.
-        time: seconds on the sensor's clock, or None.
-        S: (4, 4) how it is read: the motion from its own labelling of the target to the one used, p' = S p.
+        time: seconds on the sensor's clock, or None; of a scan of what moves, the mean of the returns on the target.
+        moving: whether the target, or the platform, moved.
+        fired: the returns as they were fired, where those of `seen` were brought to one time.
+        reading: which of its `candidates` it is read as.
     """
 
     sensor: str
@@ -67,7 +70,9 @@ class Sighting(Value):
     seen: Seen
     file: str
     time: float | None = None
-    S: Floats = field(default_factory=lambda: np.eye(4))
+    moving: bool = False
+    fired: Scan | None = None
+    reading: int = 0
 
     @cached_property
     def candidates(self) -> tuple[Candidate, ...]:
@@ -88,12 +93,23 @@ class Sighting(Value):
 
     def read_as(self, number: int) -> Sighting:
         """Return it in one of its ways to be read."""
-        return replace(self, S=self.candidates[number].S)
+        return replace(self, reading=number)
 
     @cached_property
     def pose(self) -> Floats:
         """(4, 4) T_sensor_target by this sighting alone, as it is read."""
-        return next(c.T_sensor_target for c in self.candidates if c.S is self.S or np.array_equal(c.S, self.S))
+        return self.candidates[self.reading].T_sensor_target
+
+    @property
+    def S(self) -> Floats:
+        """(4, 4) how it is read: the motion from its own labelling of the target to the one used, p' = S p."""
+        return self.candidates[self.reading].S
+
+    def relabelled(self, S: Floats) -> Sighting:
+        """Return it with the target's labelling moved by one of its symmetries (4, 4) more."""
+        wanted = S @ self.S
+        off = [float(np.abs(candidate.S - wanted).max()) for candidate in self.candidates]
+        return self.read_as(int(np.argmin(off)))
 
     @property
     def name(self) -> str:

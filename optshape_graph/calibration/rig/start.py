@@ -52,20 +52,14 @@ def find_start(
         EstimationError: the placements contradict each other.
         UnobservableError: nothing connects some sensor with the base, or two answers fit equally well.
     """
-    groups: dict[tuple[str, int | None], list[Sighting]] = {}
-    for sighting in sightings:
-        key = (sighting.placement, sighting.moment if platform_moves else None)
-        groups.setdefault(key, []).append(sighting)
-    T_base_sensor = connected(base, list(groups.values()), about)
-    if platform_moves:
-        T_base_sensor = _by_motion(base, sightings, list(groups.values()), T_base_sensor)
+    T_base_sensor = connected_by(sightings, base, about, platform_moves)
     if missing := [name for name in needed if name not in T_base_sensor]:
         raise UnobservableError(_unconnected(missing, T_base_sensor, sightings, platform_moves), tuple(missing))
     if platform_moves:
         return _among_targets(sightings, T_base_sensor)
     chosen, alone, strangers = list[Sighting](), list[Sighting](), set[int]()
     T_world_target: dict[str, Floats] = {}
-    for (placement, _), group in groups.items():
+    for (placement, _), group in _groups(sightings, platform_moves).items():
         if len({sighting.sensor for sighting in group}) == 1:
             alone += group
             continue
@@ -75,6 +69,28 @@ def find_start(
                 strangers.add(len(chosen))
             chosen.append(sighting.read_as(number))
     return Start(tuple(chosen), tuple(alone), T_base_sensor, {}, T_world_target, frozenset(strangers))
+
+
+def connected_by(
+    sightings: Sequence[Sighting], base: str, about: Mapping[str, Floats], platform_moves: bool
+) -> dict[str, Floats]:
+    """Return T_base_sensor (4, 4) of every sensor that sightings of what stands still connect with the base.
+
+    Raises:
+        EstimationError: the placements contradict each other.
+        UnobservableError: two answers fit equally well.
+    """
+    groups = list(_groups(sightings, platform_moves).values())
+    found = connected(base, groups, about)
+    return _by_motion(base, sightings, groups, found) if platform_moves else found
+
+
+def _groups(sightings: Sequence[Sighting], platform_moves: bool) -> dict[tuple[str, int | None], list[Sighting]]:
+    """Sightings of one target in one place, by the placement, and the moment where the platform moves."""
+    groups: dict[tuple[str, int | None], list[Sighting]] = {}
+    for sighting in sightings:
+        groups.setdefault((sighting.placement, sighting.moment if platform_moves else None), []).append(sighting)
+    return groups
 
 
 def _unconnected(
