@@ -33,6 +33,7 @@ from optshape_graph.calibration.rig.sightings import Kind, Sighting
 from optshape_graph.calibration.rig.start import Start, connected_by, find_start
 from optshape_graph.calibration.verdict import Finding
 from optshape_graph.errors import EstimationError
+from optshape_graph.factors import RANGE_BIAS
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import About, Session, load_session
 from optshape_graph.se3 import adjoint, difference, inverse
@@ -258,8 +259,9 @@ def _sensor(name: str, session: Session, solved: RigSolution, as_they_come: RigS
     kind: Kind = "lidar" if name in session.lidars else "camera" if name in session.cameras else "mocap body"
     errors = solved.ring_errors(name) if any(isinstance(s.seen, TargetInScan) for s in used) else {}
     lens = next((solved.lens(s.seen.camera) for s in used if isinstance(s.seen, TargetInImage)), None)
+    # In the graph a range bias is what is to be added to a range.
     rings = tuple(
-        RingError(error.kind, error.ring, value, sigma)
+        RingError(error.kind, error.ring, -value if error.kind == RANGE_BIAS else value, sigma)
         for error, (value, sigma) in sorted(errors.items(), key=lambda item: (item[0].kind, item[0].ring or -1))
     )
     T, T_come = solved.T_base_sensor(name), as_they_come.T_base_sensor(name)

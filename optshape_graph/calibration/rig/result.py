@@ -33,7 +33,8 @@ class RingError:
     Attributes:
         kind: what it is, such as "range bias" or "elevation".
         ring: its number, from the lowest; None: all rings have it alike.
-        value: in standard deviations of what the sensor file lets expect.
+        value: in standard deviations of what the sensor file lets expect; positive: it measures too far, or looks above
+            its table.
         sigma: its standard deviation, in the same unit.
     """
 
