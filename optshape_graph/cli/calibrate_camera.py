@@ -9,7 +9,7 @@ import click
 
 from optshape_graph.cli.console import say, say_passed_over, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import example, force_option, outside_option
+from optshape_graph.cli.options import Number, example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--range-bias-sigma",
-    type=click.FloatRange(min=0.0),
+    type=Number(0.0, 10.0),
     default=0.03,
     show_default=True,
     help="Prior standard deviation of a LiDAR's range bias, metres; 0: it has none.",
@@ -61,7 +61,7 @@ def command(
     """
     from optshape_graph.calibration.camera import calibrate_camera
     from optshape_graph.calibration.camera.checks import check_camchain
-    from optshape_graph.calibration.camera.export import kalibr_camchain
+    from optshape_graph.calibration.exports import kalibr_camchain
     from optshape_graph.cli.console import progress_bar
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_session
@@ -69,7 +69,7 @@ def command(
     from optshape_graph.runs.kept import keeping
 
     loaded = load_session(session, allow_outside=allow_outside)
-    outputs = Outputs([session, *loaded.files()], force=force)
+    outputs = Outputs([session], force=force)
     outputs.file("--json", json_path, "camera-calibration")
     outputs.file("--camchain", camchain)
     outputs.file("--report", html)
@@ -88,7 +88,7 @@ def command(
         if json_path:
             write_json(json_path, calibration.to_dict())
     if camchain:
-        write_yaml(camchain, kalibr_camchain(calibration))
+        write_yaml(camchain, kalibr_camchain(calibration.mounted()))
     _print(calibration)
     pictures = Pictures(plots) if plots else None
     if plots and pictures:
@@ -152,7 +152,7 @@ def _print(calibration: CameraCalibration) -> None:
 def _print_pair(calibration: CameraCalibration, camera: str, lidar: str) -> None:
     import numpy as np
 
-    from optshape_graph.calibration.camera.static_transforms import static_transforms
+    from optshape_graph.calibration.exports import static_transforms
     from optshape_graph.cli.console import print_transform
     from optshape_graph.se3 import inverse, inverse_covariance
 

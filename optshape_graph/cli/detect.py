@@ -74,7 +74,7 @@ def command(
     from optshape_graph.io import load_target
 
     paths = scan_paths(scans)
-    outputs = Outputs([*paths, *targets, sensor], force=force)
+    outputs = Outputs([*scans, *paths, *targets, sensor], force=force)
     outputs.file("--json", json_path, "detect", bytes_needed=BYTES * len(paths))
     outputs.file("--report", html)
     outputs.folder("--plot", plots)

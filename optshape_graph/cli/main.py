@@ -46,7 +46,7 @@ HELP = {
     "info": "Say what a file is: form, fields, units, rings, times, topics, the sensor.",
     "estimate": "Estimate a target's pose in scans that hold its returns.",
     "detect": "Find targets in full scans, and tell them apart by shape.",
-    "calibrate": "Calibrate a LiDAR to motion capture, or to a camera.",
+    "calibrate": "Calibrate a LiDAR to motion capture or a camera, or a whole rig.",
     "design": "Design target shapes: find one, judge them, draw one at 1:1.",
     "simulate": "Simulate a scan of a target or a scene, with known truth.",
     "extract": "Cut a session out of a bag or a folder of clouds: scans, images, markers.",
@@ -135,7 +135,7 @@ def run(debug: bool) -> int:
     except (optshape_graph.OptshapeError, OSError) as error:
         if debug:
             show_traceback(error)
-        end(f"optshape: error: {error}", 2)
+        end(f"optshape: error: {reason(error)}", 2)
     except MemoryError:
         end("optshape: error: not enough memory", 2)
     except Exception as error:
@@ -160,6 +160,13 @@ def end(message: str, status: int) -> NoReturn:
     with contextlib.suppress(OSError):
         click.echo(shown(message, LONGEST_MESSAGE), err=True)
     sys.exit(status)
+
+
+def reason(error: Exception) -> str:
+    """Return what went wrong, of the system's errors with the file first, as in all others."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
 
 
 def show_traceback(error: Exception) -> None:
