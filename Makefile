@@ -5,6 +5,7 @@
 # make bench          the benchmarks: ratios between two things measured in one run
 # make coverage       the lines that `make test` runs, and those that it does not
 # make leaderboard    four methods on the same clouds, into docs/leaderboard.md
+# make notebooks      run the notebooks, and store them with their pictures
 # make docs           the documentation, as a site in build/site
 # make release-check  wheel and sdist, the wheel tried in a fresh environment of every Python in PYTHONS
 #
@@ -30,7 +31,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Folders of tests that need no simulation and no process of their own.
 QUICK := $(wildcard tests/test_*.py) $(addprefix tests/,factors graph io pose design runs docs/test_docstrings.py cli/test_lazy.py)
 
-.PHONY: demo check test faults bench leaderboard coverage docs release-check lock latest sbom
+.PHONY: demo check test faults bench leaderboard notebooks coverage docs release-check lock latest sbom
 
 demo: setup-plot
 	$(BIN)/optshape demo
@@ -55,6 +56,9 @@ bench: setup-test
 
 leaderboard: setup-test
 	$(BIN)/python -m tests.leaderboard
+
+notebooks: setup-test
+	$(BIN)/python -m tests.notebooks
 
 coverage: setup-test
 	$(BIN)/python -m pytest -n $(JOBS) -m "not benchmark" --cov --cov-report=term:skip-covered

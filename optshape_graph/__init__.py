@@ -14,6 +14,7 @@ from optshape_graph.errors import EstimationError, InputError, MissingExtraError
 if TYPE_CHECKING:
     from optshape_graph.calibration.camera import CameraCalibration, calibrate_camera
     from optshape_graph.calibration.mocap import MocapCalibration, calibrate_mocap
+    from optshape_graph.calibration.sensor import SensorCalibration, calibrate_sensor
     from optshape_graph.detection import Detections, detect_targets
     from optshape_graph.io import load_sensor, load_session, load_target, read_scan
     from optshape_graph.mapping import Map, load_map, map_recording, save_map
@@ -25,28 +26,18 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "CameraCalibration": "calibration.camera",
-    "Chessboard": "target",
-    "Detections": "detection",
-    "Map": "mapping",
-    "MocapCalibration": "calibration.mocap",
-    "PoseEstimate": "pose",
-    "Scan": "scan",
-    "SensorModel": "sensor",
-    "Target": "target",
-    "calibrate_camera": "calibration.camera",
-    "calibrate_mocap": "calibration.mocap",
-    "detect_targets": "detection",
-    "estimate_pose": "pose",
-    "load_map": "mapping",
-    "map_recording": "mapping",
-    "load_sensor": "io",
-    "load_session": "io",
-    "load_target": "io",
-    "read_scan": "io",
-    "save_map": "mapping",
+    "calibration.camera": "CameraCalibration calibrate_camera",
+    "calibration.mocap": "MocapCalibration calibrate_mocap",
+    "calibration.sensor": "SensorCalibration calibrate_sensor",
+    "detection": "Detections detect_targets",
+    "io": "load_sensor load_session load_target read_scan",
+    "mapping": "Map load_map map_recording save_map",
+    "pose": "PoseEstimate estimate_pose",
+    "scan": "Scan",
+    "sensor": "SensorModel",
+    "target": "Chessboard Target",
 }
-"""Names that are imported when they are first used, and the subpackage that each comes from."""
+"""Subpackages, and the names that are imported from them when they are first used."""
 
 __all__ = [
     "CameraCalibration",
@@ -60,12 +51,14 @@ __all__ = [
     "OptshapeError",
     "PoseEstimate",
     "Scan",
+    "SensorCalibration",
     "SensorModel",
     "Target",
     "UnobservableError",
     "__version__",
     "calibrate_camera",
     "calibrate_mocap",
+    "calibrate_sensor",
     "detect_targets",
     "estimate_pose",
     "load_map",

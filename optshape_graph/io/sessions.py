@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from optshape_graph._arrays import Value
 from optshape_graph.camera import CameraIntrinsics
-from optshape_graph.errors import InputError
+from optshape_graph.errors import InputError, expect
 from optshape_graph.io.builtin import builtin_names
 from optshape_graph.io.cameras import load_camera
 from optshape_graph.io.documents import Node, read_document
@@ -105,6 +105,7 @@ def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
         InputError: not readable; a missing, unknown or wrong key; a file that is missing or wrong; a LiDAR, camera,
             target, vertex, marker or marker frame that is not there. The message names file, line and key.
     """
+    expect("path", path, str, Path)
     path = Path(path)
     root = read_document(path, "session", anywhere=allow_outside)
     fields = root.entries()

@@ -73,15 +73,10 @@ def plot_map(result: Map, magnify: float | None = None) -> Figure:
         place = landmark.T_world_target[:2, 3]
         loop = place + magnify * ellipse(C, SIGMAS)
         axes.plot(loop[:, 0], loop[:, 1], color=VERMILLION, lw=1.0)
-        _facing(axes, landmark)
-        if len(result.landmarks) <= MOST_NAMES:  # beyond outline and ellipse, on the side that the LiDAR does not see
-            reach = np.vstack([loop, landmark.vertices[:, :2]]) - place
-            away = _unit(landmark.T_world_target[:2, 0])
-            beyond = place + away * float((reach @ away).max())
-            label = axes.annotate(
-                literal(landmark.id), beyond.tolist(), (4 * away).tolist(), textcoords="offset points"
-            )
-            label.set(ha="left" if away[0] > 0 else "right", va="bottom" if away[1] > 0 else "top")
+        tip = _facing(axes, landmark)
+        if len(result.landmarks) <= MOST_NAMES:  # above outline and ellipse
+            above = float(place[0]), float(max(loop[:, 1].max(), landmark.vertices[:, 1].max(), tip[1]))
+            axes.annotate(literal(landmark.id), above, (0, 5), textcoords="offset points", ha="center", va="bottom")
     large = "" if magnify == 1 else f", drawn {magnify:g} times too large"
     axes.set_title(f"{len(result.landmarks)} landmarks; ellipses of {SIGMAS:g} standard deviations{large}")
     said = f"Orange: the way a landmark faces, and {SIGMAS:g} standard deviations to each side. Arrows: x of the LiDAR."
@@ -135,8 +130,8 @@ def _unit(xy: Floats) -> Floats:
     return np.asarray(xy / np.maximum(np.linalg.norm(xy, axis=-1, keepdims=True), 1e-9))
 
 
-def _facing(axes: Axes, landmark: Landmark) -> None:
-    """Draw the way a landmark faces, and the two that it may face within `SIGMAS` standard deviations."""
+def _facing(axes: Axes, landmark: Landmark) -> Floats:
+    """Draw the way a landmark faces, and the two that it may face within `SIGMAS`; return the line's end, (2,)."""
     place, facing = landmark.T_world_target[:2, 3], -_unit(landmark.T_world_target[:2, 0])
     R = landmark.T_world_target[:3, :3]
     sd = float(np.sqrt(max((R @ landmark.covariance[:3, :3] @ R.T)[2, 2], 0.0)))
@@ -145,6 +140,7 @@ def _facing(axes: Axes, landmark: Landmark) -> None:
         c, s = np.cos(turn), np.sin(turn)
         end = place + length * np.array([[c, -s], [s, c]]) @ facing
         axes.plot(*np.column_stack([place, end]), color=ORANGE, lw=1.4 if turn == 0.0 else 0.7, zorder=2)
+    return np.asarray(place + length * facing)
 
 
 def _from_above(landmark: Landmark) -> np.ndarray:

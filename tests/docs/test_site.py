@@ -45,3 +45,11 @@ def test_every_layer_is_in_the_reference(site: Path) -> None:
 def test_every_command_is_documented(site: Path) -> None:
     page = (site / "commands.html").read_text()
     assert [name for name in COMMANDS if f"optshape {name} " not in page] == []
+
+
+def test_search_needs_no_server(site: Path) -> None:
+    """Its index is a script, which pages of files may load; and a worker of our own stands for the browser's."""
+    assert (site / "search.js").read_text().startswith("var __index")
+    page = (site / "guides" / "cpp.html").read_text()
+    assert '<script src="../assets/iframe-worker.js">' in page
+    assert (site / "assets" / "iframe-worker.js").is_file()

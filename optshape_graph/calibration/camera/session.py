@@ -18,7 +18,7 @@ from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.images.reading import ImageTask, TargetInImage, find_targets
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors import RANGE_BIAS, SharedError
+from optshape_graph.factors import OF_RINGS, RANGE_BIAS, SharedError
 from optshape_graph.io import Session, read_scan
 from optshape_graph.io import View as Entry
 from optshape_graph.io.passed_over import UNUSABLE, PassedOver
@@ -138,9 +138,9 @@ def target_in_scan(
 
 
 def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[SharedError, ...], Floats]:
-    """Return the rings whose range biases move the pose, and how: (6, R), right perturbation of T_lidar_target.
+    """Return the errors of rings that move the pose, and how: (6, K), right perturbation of T_lidar_target.
 
-    The estimate allows for biases delta of its own; beside true ones beta it minimises
+    The estimate allows for errors delta of its own; beside true ones beta it minimises
     ||S_pose x + S_bias (delta + beta) ||^2 + ||delta||^2.
     """
     assert estimate.shared is not None
@@ -148,7 +148,7 @@ def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[SharedError, ...], Flo
     k = len(errors)
     by_pose = stack[:, k:-1] @ vec_derivative(estimate.T_target_lidar)
     rows = np.block([[by_pose, stack[:, :k]], [np.zeros((k, 6)), np.eye(k)]])
-    rings = [j for j, error in enumerate(errors) if error.kind == RANGE_BIAS]
+    rings = [j for j, error in enumerate(errors) if error.kind in OF_RINGS]
     biases = np.vstack([stack[:, rings], np.zeros((k, len(rings)))])
     x = np.linalg.lstsq(rows, -biases, rcond=None)[0][:6]
     # (T Exp(x))^-1 = T^-1 Exp(-Ad(T) x)
