@@ -185,13 +185,13 @@ def of_session(
             progress(k, len(session.views))
             wanted = targets or [session.targets[target] for target in view.targets]
             crop = view.target_points if use_target_points else None
-            scan = read_scan(crop or view.scan, sensor)
-            of = {"scan": fingerprint([str(crop or view.scan)]), "crop": crop is not None, "moment": k,
+            scan = read_scan(crop or view.cloud, sensor)
+            of = {"scan": fingerprint([str(crop or view.cloud)]), "crop": crop is not None, "moment": k,
                   "sensor": sensor, "targets": wanted}  # fmt: skip
             search = partial(_cropped if crop else _detected, k, scan, wanted)
             found = kept(tuple[Sighting, ...], of, search)
             if not found:
-                left_out_views.append(f"{view.scan.name}: no board found")
+                left_out_views.append(f"{view.cloud.name}: no board found")
             yield from found
 
     return gather(seen()), left_out_views
