@@ -101,7 +101,7 @@ def values(parameter: click.Parameter, bad: list[str]) -> list[str]:
         return ["", "nonsense", "GLOBAL", *HOSTILE[4:7]]
     if isinstance(kind, click.types.IntParamType | click.types.FloatParamType) or type(kind).__name__ == "Number":
         return list(NUMBERS)
-    written = name in ("output", "html", "plots", "plot", "camchain", "recording") or name.endswith(
+    written = name in ("output", "html", "plots", "plot", "camchain", "recording", "export") or name.endswith(
         ("_file", "json_path")
     )
     if written and name not in ("camera_file", "mocap_file"):

@@ -42,6 +42,7 @@ RUNS = {
         "sweep/scans.csv",
     ),
     "calibrate mocap": ("calibrate mocap session.yaml --json a.json", "a.json"),
+    "calibrate rig": ("calibrate rig session.yaml --json a.json", "a.json"),
     "calibrate camera": ("calibrate camera views/session.yaml --use-target-points --json a.json", "a.json"),
     "optimise": (f"design optimise --starts {STARTS} --sides 3 --rings 2 2 --area 0.5 -o shape.yaml", "shape.yaml"),
 }  # fmt: skip
