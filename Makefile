@@ -14,12 +14,13 @@
 # make sbom           what is in the environment, as CycloneDX: build/sbom.json
 #
 # All set up what they need on a bare Debian or Ubuntu with Python 3.11 or newer, as root or with sudo (.ci/setup). To
-# choose: PYTHON=python3.13 VENV=/some/folder JOBS=4
+# choose: PYTHON=python3.13 VENV=/some/folder JOBS=4; of `latest`, TESTS="tests/io tests/pose" in place of all
 
 PYTHON ?=
 VENV ?= .venv
 JOBS ?= $(shell nproc 2>/dev/null || echo 2)
 FAULTS ?= 10
+TESTS ?=
 PYTHONS ?= $(VENV)/bin/python
 BIN := $(VENV)/bin
 
@@ -83,7 +84,7 @@ latest:
 	build/latest/bin/python .ci/latest > build/latest/wanted.txt
 	build/latest/bin/python -m pip install --quiet --upgrade pip -r build/latest/wanted.txt
 	build/latest/bin/python -m pip install --quiet --no-deps --editable .
-	build/latest/bin/python -m pytest -n $(JOBS) -m "not benchmark"
+	build/latest/bin/python -m pytest -n $(JOBS) -m "not benchmark" $(TESTS)
 
 sbom: setup-test setup-supply
 	mkdir -p build

@@ -25,28 +25,17 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "CameraCalibration": "calibration.camera",
-    "Chessboard": "target",
-    "Detections": "detection",
-    "Map": "mapping",
-    "MocapCalibration": "calibration.mocap",
-    "PoseEstimate": "pose",
-    "Scan": "scan",
-    "SensorModel": "sensor",
-    "Target": "target",
-    "calibrate_camera": "calibration.camera",
-    "calibrate_mocap": "calibration.mocap",
-    "detect_targets": "detection",
-    "estimate_pose": "pose",
-    "load_map": "mapping",
-    "map_recording": "mapping",
-    "load_sensor": "io",
-    "load_session": "io",
-    "load_target": "io",
-    "read_scan": "io",
-    "save_map": "mapping",
+    "calibration.camera": "CameraCalibration calibrate_camera",
+    "calibration.mocap": "MocapCalibration calibrate_mocap",
+    "detection": "Detections detect_targets",
+    "io": "load_sensor load_session load_target read_scan",
+    "mapping": "Map load_map map_recording save_map",
+    "pose": "PoseEstimate estimate_pose",
+    "scan": "Scan",
+    "sensor": "SensorModel",
+    "target": "Chessboard Target",
 }
-"""Names that are imported when they are first used, and the subpackage that each comes from."""
+"""Subpackages, and the names that are imported from them when they are first used."""
 
 __all__ = [
     "CameraCalibration",

@@ -9,7 +9,7 @@ import click
 
 from optshape_graph.cli.console import say, say_passed_over, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import example, force_option, outside_option
+from optshape_graph.cli.options import Number, example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--range-bias-sigma",
-    type=click.FloatRange(min=0.0),
+    type=Number(0.0, 10.0),
     default=0.03,
     show_default=True,
     help="Prior standard deviation of a LiDAR's range bias, metres; 0: it has none.",
@@ -69,7 +69,7 @@ def command(
     from optshape_graph.runs.kept import keeping
 
     loaded = load_session(session, allow_outside=allow_outside)
-    outputs = Outputs([session, *loaded.files()], force=force)
+    outputs = Outputs([session], force=force)
     outputs.file("--json", json_path, "camera-calibration")
     outputs.file("--camchain", camchain)
     outputs.file("--report", html)

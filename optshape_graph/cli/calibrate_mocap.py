@@ -50,7 +50,7 @@ def command(
     from optshape_graph.runs.kept import keeping
 
     loaded = load_session(session, allow_outside=allow_outside)
-    outputs = Outputs([session, *loaded.files()], force=force)
+    outputs = Outputs([session], force=force)
     outputs.file("--json", json_path, "mocap")
     outputs.file("--report", html)
     outputs.folder("--plot", plots)

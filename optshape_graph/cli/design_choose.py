@@ -57,6 +57,8 @@ def choose(
     from optshape_graph.io.sensors import load_sensor
     from optshape_graph.io.targets import load_target
 
+    if output is not None and output.suffix.lower() == ".pdf":
+        raise click.UsageError(f"--output {output}: expected a target file, as board.yaml; its drawing is the PDF")
     outputs = Outputs([sensor, *shapes], force=force)
     outputs.file("--json", json_path, "design-choice")
     outputs.file("--output", output, "target")

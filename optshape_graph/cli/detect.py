@@ -76,7 +76,7 @@ def command(
     from optshape_graph.runs.files import run_files
 
     paths = scan_paths(scans)
-    outputs = Outputs([*paths, *targets, sensor], force=force)
+    outputs = Outputs([*scans, *paths, *targets, sensor], force=force)
     outputs.file("--json", json_path, "detect", bytes_needed=BYTES * len(paths))
     outputs.file("--report", html)
     outputs.folder("--plot", plots)

@@ -70,7 +70,7 @@ def command(
     from optshape_graph.runs.files import run_files
 
     paths = scan_paths(scans)
-    outputs = Outputs([*paths, target, sensor], force=force)
+    outputs = Outputs([*scans, *paths, target, sensor], force=force)
     outputs.file("--json", json_path, "estimate", bytes_needed=BYTES * len(paths))
     outputs.file("--report", html)
     outputs.folder("--plot", plots)

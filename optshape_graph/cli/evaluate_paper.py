@@ -49,7 +49,9 @@ def command(
     from optshape_graph.viz.evaluation import plot_sweep
     from optshape_graph.viz.paper import figures
 
-    Outputs([], force=force).folder("--output", output)
+    older = (output / "tasks").is_dir()  # then what is there is replaced
+    made = [] if older else ["table1.csv", "table2.csv", *(path.name for path in output.glob("figure-*"))]
+    Outputs(force=force).folder("--output", output, made, replace=False)
     target = load_target("paper")
     for name, figure in figures(target, seed).items():
         say(f"picture: {save_picture(output, name, figure, picture_ending())}")

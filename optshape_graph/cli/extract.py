@@ -95,6 +95,8 @@ def command(
         raise click.UsageError(f"several --topic of one kind: {', '.join(topics)}")
     given = _offsets(offsets)
     Outputs([recording, camera_file, mocap_file]).folder("--output", output)
+    if output.exists() and recording.is_dir() and output.resolve() == recording.resolve():
+        raise click.UsageError(f"--output {output}: is the recording; name another folder")
     mocap = _mocap(mocap_file)
     if estimate:
         if mocap is None or "mocap" in given:

@@ -135,7 +135,7 @@ def run(debug: bool) -> int:
     except (optshape_graph.OptshapeError, OSError) as error:
         if debug:
             show_traceback(error)
-        end(f"optshape: error: {error}", 2)
+        end(f"optshape: error: {reason(error)}", 2)
     except MemoryError:
         end("optshape: error: not enough memory", 2)
     except Exception as error:
@@ -160,6 +160,13 @@ def end(message: str, status: int) -> NoReturn:
     with contextlib.suppress(OSError):
         click.echo(shown(message, LONGEST_MESSAGE), err=True)
     sys.exit(status)
+
+
+def reason(error: Exception) -> str:
+    """Return what went wrong, of the system's errors with the file first, as in all others."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
 
 
 def show_traceback(error: Exception) -> None:

@@ -18,7 +18,7 @@ from optshape_graph.names import shell_word
 @click.option("--save", "recording", type=FILE, metavar="FILE.rrd",
               help="Write a recording for Rerun instead of opening a viewer.")  # fmt: skip
 @click.option("--open3d", "with_open3d", is_flag=True, help="Open a window of Open3D instead of Rerun.")
-@click.option("--scan", "step", type=click.IntRange(min=0), default=0, show_default=True,
+@click.option("--scan", "step", type=click.IntRange(0, 1_000_000_000), default=0, show_default=True,
               help="Which scan of the result, counted from 0, with --open3d; Rerun has a slider.")  # fmt: skip
 @force_option
 def command(

@@ -198,6 +198,12 @@ class BiasedMeasurement(Value):
         R = triangular_by_parts(np.vstack([np.eye(g, k + 13), ordered]), k)
         return BiasedMeasurement(R[g:, g:], self.n_rows, self.T_target_lidar, tuple(self.shared[i] for i in kept))
 
+    def rescaled(self, kind: str, factor: float) -> BiasedMeasurement:
+        """Return the measurement with the unit of the shared errors of a kind so many times as large."""
+        stack = self.stack.copy()
+        stack[:, [i for i, error in enumerate(self.shared) if error.kind == kind]] *= factor
+        return BiasedMeasurement(stack, self.n_rows, self.T_target_lidar, self.shared)
+
     def displaced(
         self, errors: Sequence[SharedError], effect: ArrayLike, T_target_lidar: ArrayLike
     ) -> BiasedMeasurement:

@@ -34,7 +34,7 @@ ALIKE = np.radians(1.5)
 ASSUMED = {
     "range_noise": 0.01,
     "ring_bias": 0.01,
-    "brightness_bias": 0.01,
+    "brightness_bias": 0.005,
     "blooming": np.radians(0.04),
     "beam_divergence": np.radians(0.17),
     "beam_aperture": 0.01,

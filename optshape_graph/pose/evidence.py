@@ -111,8 +111,14 @@ class Evidence(Value):
         return np.asarray(beam + (3 * self.angular_noise + further) * ranges)
 
     def outside_beams(self, T_target_lidar: Floats, further: float = 0.0) -> Floats:
-        """(N,) how far the returns lie outside the outline at a pose (4, 4), in beam widths; negative inside."""
-        return np.asarray(self.problem.target.outside_distance(self.in_plane(T_target_lidar)) / self.reach(further))
+        """(N,) how far the returns lie outside the outline at a pose (4, 4), in beam widths; negative inside.
+
+        Across the ray: seen at an angle, a beam reaches as much further in the plane.
+        """
+        target, ray = self.problem.target, self.scan.points @ T_target_lidar[:3, :3].T
+        mu = (ray[:, 1:] / ray[:, :1]) @ target.normals.T
+        beyond = self.in_plane(T_target_lidar) @ target.normals.T - target.offsets
+        return np.asarray((beyond / np.sqrt(1.0 + mu**2)).max(axis=1) / self.reach(further))
 
 
 def measure(scan: Scan, target: Target, options: PoseOptions, as_recorded: bool = False) -> Evidence:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from optshape_graph.errors import InputError, OptshapeError, missing_extra
+from optshape_graph.io.files import read_head
 from optshape_graph.runs.interruption import SIGNALS
 
 if TYPE_CHECKING:
@@ -339,6 +340,10 @@ def _check_certificates(authority: Path, certificate: Path, key: Path) -> None:
     """
     import ssl
 
+    for path in (authority, certificate, key):
+        read_head(path, 1)  # missing, or not to be read
+        if not path.is_file():
+            raise InputError(f"{path}: expected a file")
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     try:
         context.load_verify_locations(authority)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import inverse
+from optshape_graph.se3 import PoseLike, as_transform, inverse
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation.motion import Motion
 from optshape_graph.simulation.noise import IDEAL, NoiseModel
@@ -78,7 +79,7 @@ class SimulatedScan(Value):
 def simulate(
     scene: Scene,
     sensor: SensorModel,
-    T_world_lidar: Floats | Motion | None = None,
+    T_world_lidar: PoseLike | Motion | None = None,
     *,
     noise: NoiseModel = IDEAL,
     rng: np.random.Generator | int = 0,
@@ -107,7 +108,9 @@ def simulate(
     bias = noise.draw_range_bias(sensor.n_rings, rng) if range_bias is None else frozen(range_bias)
     if bias.shape != (sensor.n_rings,):
         raise InputError(f"sensor '{sensor.name}' has {sensor.n_rings} rings; found range biases of shape {bias.shape}")
-    placement = np.eye(4) if T_world_lidar is None else T_world_lidar
+    placement: Any = np.eye(4) if T_world_lidar is None else T_world_lidar
+    if not hasattr(placement, "at"):  # no motion
+        placement = as_transform(placement, "T_world_lidar")
     if isinstance(placement, np.ndarray):
         rays = _facing(rays, scene, placement, noise.widest_edge_margin(sensor))
     origins, directions = _place(rays, placement)
@@ -137,7 +140,7 @@ def simulate(
 def simulate_target(
     target: Target,
     sensor: SensorModel,
-    T_lidar_target: Floats,
+    T_lidar_target: PoseLike,
     *,
     noise: NoiseModel = IDEAL,
     rng: np.random.Generator | int = 0,
@@ -155,7 +158,7 @@ def simulate_target(
         range_bias: (R,) range bias of each ring, metres; None: drawn from the noise.
         name: the scan's name.
     """
-    scene = Scene((Patch(target, np.asarray(T_lidar_target, dtype=float)),))
+    scene = Scene((Patch(target, as_transform(T_lidar_target, "T_lidar_target")),))
     return simulate(scene, sensor, noise=noise, rng=rng, range_bias=range_bias, name=name).scan
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
+from optshape_graph.se3 import as_transform
 from optshape_graph.simulation.rays import NO_MARGIN, EdgeMargin, Sphere, at
 from optshape_graph.target import Target
 
@@ -51,6 +52,9 @@ class Patch(Value):
     shape: Target
     T_world_patch: Floats
     reflectivity: float = 0.8
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_world_patch", as_transform(self.T_world_patch, "T_world_patch"))
 
     @property
     def bounds(self) -> Sphere:
@@ -127,6 +131,7 @@ class Box(Value):
         if size.shape != (3,) or not (np.isfinite(size).all() and (size > 0).all()):
             raise InputError(f"box: expected three extents > 0, found {size.tolist()}")
         object.__setattr__(self, "size", size)
+        object.__setattr__(self, "T_world_box", as_transform(self.T_world_box, "T_world_box"))
 
     @property
     def bounds(self) -> Sphere:

@@ -70,6 +70,37 @@ def test_an_input_is_never_an_output(output: str, world: Path) -> None:
     assert "is an input" in refused(f"{ESTIMATE} --json {output} --force", world)
 
 
+@pytest.mark.parametrize("line", [
+    "calibrate mocap session.yaml --json markers.csv", "calibrate mocap session.yaml --json 4m.pcd",
+    "calibrate camera session.yaml --camchain target.yaml", "map session.yaml --tum markers.csv",
+    "map session.yaml --json sensor.yaml", "estimate @list.txt --target target.yaml --json list.txt",
+    "simulate --scene scene.yaml --sensor vlp16 -o named.pcd", "extract clouds --sensor vlp16 --target paper -o clouds",
+])  # fmt: skip
+def test_what_a_session_a_scene_or_a_list_names_is_an_input(line: str, world: Path) -> None:
+    (world / "scene.yaml").write_text(
+        "schema: optshape/scene/1\ntargets:\n  - {target: named.pcd, position: [8, 0, 0], rpy_deg: [0, 0, 0]}\n"
+    )
+    (world / "named.pcd").write_bytes((world / "target.yaml").read_bytes())
+    error = refused(f"{line} --force" if "extract" not in line else line, world)
+    assert "is an input" in error or "is the recording" in error
+
+
+def test_a_drawing_does_not_replace_its_target(world: Path) -> None:
+    line = "design choose --sensor vlp32c --range 6 --rotation 8 --translation 0.1 -o a.pdf"
+    assert "expected a target file" in refused(line, world)
+
+
+def test_somebodys_table_is_kept(world: Path) -> None:
+    (world / "table1.csv").write_text("years of work\n")
+    assert "--force writes over it" in refused("evaluate paper --draws 1 -o .", world)
+    (world / "table1.csv").unlink()
+
+
+@pytest.mark.parametrize("options", ["--plot out.json.journal", "--report out.json.journal"])
+def test_a_journal_is_nobody_elses_output(options: str, world: Path) -> None:
+    assert "is the output of --json" in refused(f"{ESTIMATE} --json out.json {options}", world)
+
+
 def test_a_link_to_an_input_is_that_input(world: Path) -> None:
     (world / "link.json").symlink_to("4m.pcd")
     assert "is an input" in refused(f"{ESTIMATE} --json link.json --force", world)

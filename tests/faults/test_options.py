@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import shutil
 import zlib
@@ -12,6 +13,7 @@ import click
 import pytest
 
 from optshape_graph.cli.main import cli
+from optshape_graph.cli.options import Number
 from tests.faults.harness import MANY, changed, problem_of, run, snapshot
 from tests.faults.inputs import HOSTILE, make_bad, make_inputs
 
@@ -71,7 +73,8 @@ OUTPUTS = (
 FOLDERS = ("out/new/folder", "4m.pcd", "precious.txt", "precious.txt/a", "x" * 300, "/dev/full", "/proc/a", "")
 
 SLOW = {"calibrate mocap": 6, "calibrate camera": 6, "design study": 8, "map": 3, "evaluate mocap": 8, "demo": 8,
-        "evaluate simulation": 4, "evaluate paper": 40, "design choose": 40, "design optimise-poses": 4, "doctor": 10,
+        "evaluate simulation": 4, "evaluate paper": 40, "design choose": 40, "design optimise": 4, "design optimise-poses": 4,
+        "doctor": 10,
 }  # fmt: skip
 """Commands whose good runs take seconds: every so manieth case of theirs is tried in `make test`."""
 
@@ -175,6 +178,17 @@ def leaves(group: click.Group, words: str = "") -> Iterator[str]:
             yield from leaves(found, name)
         else:
             yield name
+
+
+def test_every_number_has_a_range() -> None:
+    for name in RUNS:
+        for parameter in leaf(name).params:
+            kind = parameter.type
+            if isinstance(kind, Number):
+                assert kind.finite or kind.least > -math.inf, (name, parameter.name)
+            elif isinstance(kind, click.types.IntParamType | click.types.FloatParamType):
+                assert isinstance(kind, click.IntRange), (name, parameter.name)
+                assert None not in (kind.min, kind.max), (name, parameter.name)
 
 
 def test_every_command_is_tried() -> None:

@@ -17,7 +17,7 @@ from optshape_graph.calibration.mocap.layout import CheckedMarkers, marker_out_o
 from optshape_graph.calibration.mocap.result import LeftOut, MocapCalibration
 from optshape_graph.calibration.mocap.session import load_mocap_scans
 from optshape_graph.calibration.verdict import Finding
-from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.errors import EstimationError, InputError, expect
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Session, load_session
 from optshape_graph.pose import refine
@@ -55,6 +55,7 @@ def calibrate_mocap(
         EstimationError: fewer than two scans can be used; or the scans contradict each other so that no calibration
             can be given, and the message says what seems to be wrong.
     """
+    expect("session", session, str, Path, Session)
     loaded = session if isinstance(session, Session) else load_session(session)
     passed_over = PassedOver()
     scans, left_out, checked = load_mocap_scans(loaded, layout_prior, progress, passed_over, kept)
