@@ -100,7 +100,7 @@ def calibrate(
     start = _start(views)
     base, cameras = next(iter(start.rig.T_base_sensor)), tuple(start.rig.cameras)
     lidars = dict.fromkeys([base, *(s.sensor for s in start.sightings if isinstance(s.seen, TargetInScan))])
-    lenses = check_lenses(views)
+    lenses = check_lenses(view.image for view in views if view.image is not None)
     wrong = {lens.camera for lens in lenses if lens.contradicted}
     refined = frozenset({None: wrong, True: set(cameras), False: set[str]()}[unknowns.intrinsics])
 
