@@ -14,6 +14,8 @@ from optshape_graph.errors import EstimationError, InputError, MissingExtraError
 if TYPE_CHECKING:
     from optshape_graph.calibration.camera import CameraCalibration, calibrate_camera
     from optshape_graph.calibration.mocap import MocapCalibration, calibrate_mocap
+    from optshape_graph.calibration.rig import RigCalibration, calibrate_rig
+    from optshape_graph.calibration.sensor import SensorCalibration, calibrate_sensor
     from optshape_graph.detection import Detections, detect_targets
     from optshape_graph.io import load_sensor, load_session, load_target, read_scan
     from optshape_graph.mapping import Map, load_map, map_recording, save_map
@@ -27,6 +29,8 @@ __version__ = "0.1.0"
 _HOME = {
     "calibration.camera": "CameraCalibration calibrate_camera",
     "calibration.mocap": "MocapCalibration calibrate_mocap",
+    "calibration.rig": "RigCalibration calibrate_rig",
+    "calibration.sensor": "SensorCalibration calibrate_sensor",
     "detection": "Detections detect_targets",
     "io": "load_sensor load_session load_target read_scan",
     "mapping": "Map load_map map_recording save_map",
@@ -48,13 +52,17 @@ __all__ = [
     "MocapCalibration",
     "OptshapeError",
     "PoseEstimate",
+    "RigCalibration",
     "Scan",
+    "SensorCalibration",
     "SensorModel",
     "Target",
     "UnobservableError",
     "__version__",
     "calibrate_camera",
     "calibrate_mocap",
+    "calibrate_rig",
+    "calibrate_sensor",
     "detect_targets",
     "estimate_pose",
     "load_map",

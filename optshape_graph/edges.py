@@ -124,9 +124,13 @@ class EdgePoints(Value):
 
         Along the ring it is +-(z x p), across the rings +-(p x (z x p)) / |z x p|.
         """
-        azimuthal = np.column_stack([-self.points[:, 1], self.points[:, 0], np.zeros(len(self))])
-        along = np.where(np.abs(self.side)[:, None] == LEFT, azimuthal, upward(self.points))
+        along = np.where(np.abs(self.side)[:, None] == LEFT, leftward(self.points), upward(self.points))
         return frozen(along * np.sign(self.side)[:, None])
+
+
+def leftward(points: Floats) -> Floats:
+    """(N, 3) motion of points (N, 3) as their azimuth grows, metres per radian."""
+    return np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
 
 
 def upward(points: Floats) -> Floats:

@@ -99,7 +99,8 @@ def test_what_is_no_grid_keeps_its_extremes(what: str) -> None:
 
 
 def sensor_without_beam() -> SensorModel:
-    return replace(load_sensor("vlp32c"), range_noise=0.01, ring_bias=0.0, beam_divergence=0.0, beam_aperture=0.0)
+    return replace(load_sensor("vlp32c"), range_noise=0.01, ring_bias=0.0, beam_divergence=0.0, beam_aperture=0.0,
+                   elevation_error=0.0, azimuth_error=0.0)  # fmt: skip
 
 
 def test_exact_angles_are_left_alone() -> None:

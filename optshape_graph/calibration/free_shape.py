@@ -141,7 +141,7 @@ def measure_shape(returns: Sequence[Scan], target: Target) -> MeasuredShape:
     # That the offset's effect changes with range would tell it, by less than what is left out here changes with range.
     # So it is not estimated, but it counts.
     total = np.asarray(np.linalg.inv(information))
-    common = Beam.COMMON * total @ by_offset
+    common = Beam.common * total @ by_offset
     polygon = target.polygon + (total @ weighted).reshape(n, 2)
     return MeasuredShape(target, SeenShape("", polygon, total + np.outer(common, common)), tuple(seen), crossed)
 
@@ -153,7 +153,7 @@ def _start(target: Target) -> Floats:
 
 def _prior(target: Target) -> Floats:
     """(1 + 2 n, 1 + 2 n) information of them."""
-    return np.diag([1.0 / Beam.COMMON**2, *np.full(2 * len(target), 1.0 / FREE_SIGMA_M**2)])
+    return np.diag([1.0 / Beam.common**2, *np.full(2 * len(target), 1.0 / FREE_SIGMA_M**2)])
 
 
 def _with_crossing(scans: Sequence[Scan], target: Target) -> tuple[bool, list[tuple[Scan, Floats]]]:

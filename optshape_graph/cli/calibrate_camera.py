@@ -61,7 +61,7 @@ def command(
     """
     from optshape_graph.calibration.camera import calibrate_camera
     from optshape_graph.calibration.camera.checks import check_camchain
-    from optshape_graph.calibration.camera.export import kalibr_camchain
+    from optshape_graph.calibration.exports import kalibr_camchain
     from optshape_graph.cli.console import progress_bar
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_session
@@ -88,7 +88,7 @@ def command(
         if json_path:
             write_json(json_path, calibration.to_dict())
     if camchain:
-        write_yaml(camchain, kalibr_camchain(calibration))
+        write_yaml(camchain, kalibr_camchain(calibration.mounted()))
     _print(calibration)
     pictures = Pictures(plots) if plots else None
     if plots and pictures:
@@ -152,7 +152,7 @@ def _print(calibration: CameraCalibration) -> None:
 def _print_pair(calibration: CameraCalibration, camera: str, lidar: str) -> None:
     import numpy as np
 
-    from optshape_graph.calibration.camera.static_transforms import static_transforms
+    from optshape_graph.calibration.exports import static_transforms
     from optshape_graph.cli.console import print_transform
     from optshape_graph.se3 import inverse, inverse_covariance
 

@@ -73,7 +73,7 @@ def command(ctx: click.Context, output: Path, force: bool) -> int:
         from optshape_graph.viz.style import save_figure
 
         view = session.views[3]
-        scan = read_scan(view.scan, session.lidars[view.lidar])
+        scan = read_scan(view.cloud, session.lidars[view.lidar])
         figure = plot_fit(scan, estimate_pose(scan, next(iter(session.targets.values()))))
         say(f"picture: {save_figure(figure, output / 'fit.png')}")
     say(f"result: {output / 'mocap.json'}")

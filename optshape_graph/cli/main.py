@@ -46,7 +46,7 @@ HELP = {
     "info": "Say what a file is: form, fields, units, rings, times, topics, the sensor.",
     "estimate": "Estimate a target's pose in scans that hold its returns.",
     "detect": "Find targets in full scans, and tell them apart by shape.",
-    "calibrate": "Calibrate a LiDAR to motion capture, or to a camera.",
+    "calibrate": "Calibrate a LiDAR to motion capture or a camera, or a whole rig.",
     "design": "Design target shapes: find one, judge them, draw one at 1:1.",
     "simulate": "Simulate a scan of a target or a scene, with known truth.",
     "extract": "Cut a session out of a bag or a folder of clouds: scans, images, markers.",

@@ -137,8 +137,12 @@ def command(
         outputs.file(option, file)
     outputs.file("--report", html)
     outputs.folder("--plot", plots)
+    targets = tuple(map(load_target, target_names))
+    sensors = _of_each("--sensor", list(map(load_sensor, sensor_names)), scan_topics, common=True)
+    transforms = read_extrinsics(extrinsics) if extrinsics else None
     opened = _opened(source, target_names, sensor_names, scan_topics, allow_outside)
     names = scan_topics if isinstance(opened, Recording) else tuple(opened.lidars)
+    placed = _of_each("--mounting", list(map(_placed, mountings)), names)
     describe = {
         "form": "map", "targets": target_names, "sensor": sensor_names, "scans": scan_topics, "odometry": odometry,
         "mounting": mountings, "clock_offset": clock_offset, "one_each": one_each, "noise": odometry_noise,
@@ -152,12 +156,12 @@ def command(
     ):
         result = map_recording(
             opened,
-            tuple(map(load_target, target_names)),
-            _of_each("--sensor", list(map(load_sensor, sensor_names)), scan_topics, common=True),
+            targets,
+            sensors,
             scans=scan_topics or None,
             odometry=odometry,
-            mounting=_of_each("--mounting", list(map(_placed, mountings)), names),
-            extrinsics=read_extrinsics(extrinsics) if extrinsics else None,
+            mounting=placed,
+            extrinsics=transforms,
             clock_offset=clock_offset,
             known=load_map(known) if known else None,
             one_each=one_each,

@@ -23,6 +23,8 @@ NOISE_OPTIONS = {
     "azimuth_noise": ("--azimuth-noise-deg", "DEG", 45.0, "Standard deviation of one azimuth."),
     "elevation_noise": ("--elevation-noise-deg", "DEG", 45.0, "Standard deviation of one elevation."),
     "ring_bias": ("--ring-bias", "METRES", 100.0, "Standard deviation over rings of the range bias of a ring."),
+    "elevation_error": ("--elevation-error-deg", "DEG", 5.0, "Standard deviation over rings of a ring's elevation."),
+    "azimuth_error": ("--azimuth-error-deg", "DEG", 5.0, "Standard deviation over rings of a ring's azimuth."),
     "range_resolution": ("--range-resolution", "METRES", 100.0, "Step to which ranges are rounded."),
     "dropout": ("--dropout", "P", 1.0, "Share of the returns lost at normal incidence; more at grazing."),
     "hit_fraction": ("--hit-fraction", "P", 1.0, "Share of a beam that must lie on a target to return from it."),

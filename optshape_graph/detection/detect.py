@@ -14,7 +14,7 @@ from optshape_graph.detection.patches import find_patches
 from optshape_graph.detection.results import Detection, Detections, Rejection
 from optshape_graph.detection.segments import OrderedScan, order_scan
 from optshape_graph.errors import EstimationError, InputError, expect
-from optshape_graph.scan import Scan
+from optshape_graph.scan import Scan, put_right
 from optshape_graph.target import Target
 
 _DEFAULTS = DetectionOptions()
@@ -38,7 +38,7 @@ def detect_targets(scan: Scan, targets: Target | Sequence[Target], options: Dete
     """
     expect("scan", scan, Scan)
     expect("options", options, DetectionOptions)
-    wanted = _wanted(targets)
+    wanted, scan = _wanted(targets), put_right(scan)
     try:
         ordered = order_scan(scan, options)
     except EstimationError:

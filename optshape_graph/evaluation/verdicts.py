@@ -159,6 +159,17 @@ def _camera(document: Mapping[str, Any]) -> Verdict:
     return Verdict(level, sentence, (*advice, *map(str, document.get("warnings", ()))))
 
 
+def _rig(document: Mapping[str, Any]) -> Verdict:
+    pairs, warnings = document["transforms"], [str(warning) for warning in document["warnings"]]
+    sd = np.array([np.sqrt(np.abs(np.diag(np.array(pair["covariance"])))) for pair in pairs])
+    placements = len({one["placement"] for one in document.get("sightings", ()) if one["used"]})
+    sentence = (
+        f"{len(pairs)} pairs of sensors by {placements} placements, known to {1e3 * sd[:, 3:].max():.1f} mm and "
+        f"{np.degrees(sd[:, :3].max()):.3f} deg (largest standard deviation)"
+    )
+    return Verdict(_level(document["verdict"], warnings, placements), sentence, tuple(warnings))
+
+
 def _map(document: Mapping[str, Any]) -> Verdict:
     landmarks = document["landmarks"]
     if not landmarks:
@@ -282,6 +293,7 @@ _JUDGES: dict[str, Callable[[Mapping[str, Any]], Verdict]] = {
     "detect": _detect,
     "mocap": _mocap,
     "camera-calibration": _camera,
+    "rig": _rig,
     "map": _map,
     "design-choice": _choice,
     "simulation-evaluation": _simulation,

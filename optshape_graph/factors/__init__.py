@@ -59,6 +59,8 @@ if TYPE_CHECKING:
         BRIGHTNESS,
         EDGE_OFFSET,
         ELEVATION,
+        OF_RINGS,
+        AZIMUTH,
         RANGE_BIAS,
         BiasedMeasurement,
         SharedError,
@@ -79,8 +81,8 @@ _HOME = {
     "sensor_parameters": "AugmentedMeasurement SensorParameterFactor azimuth_directions "
     "edge_motion_rows plane_motion_rows range_directions",
     "shape": "FreeVertexFactor ShapeFactor ShapeMeasurement TemplatePrior VertexFactor shape_rows",
-    "static": "BLOOMING BRIGHTNESS BiasedMeasurement EDGE_OFFSET "
-    "ELEVATION RANGE_BIAS SharedError fuse_static ring_bias_columns",
+    "static": "AZIMUTH BLOOMING BRIGHTNESS BiasedMeasurement EDGE_OFFSET "
+    "ELEVATION OF_RINGS RANGE_BIAS SharedError fuse_static ring_bias_columns",
     "summary": "LandmarkFactor Summary SummaryFactor summarise",
     "template": "PointToEdgeFactor PointToPlaneFactor TemplateCallbackFactor TemplateFactor",
 }
@@ -90,6 +92,8 @@ __all__ = [
     "BRIGHTNESS",
     "EDGE_OFFSET",
     "ELEVATION",
+    "OF_RINGS",
+    "AZIMUTH",
     "RANGE_BIAS",
     "AugmentedMeasurement",
     "BiasedMeasurement",

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
-from optshape_graph.edges import upward
+from optshape_graph.edges import leftward, upward
 from optshape_graph.factors.measurement import template_rows
-from optshape_graph.factors.static import BRIGHTNESS, ELEVATION, RANGE_BIAS, BiasedMeasurement, SharedError
+from optshape_graph.factors.static import BRIGHTNESS, RANGE_BIAS, BiasedMeasurement, SharedError, angle_errors
 from optshape_graph.scan import Scan
+from optshape_graph.sensor import SensorModel, angle_sds
 from optshape_graph.target import FLATNESS
 
 
@@ -44,19 +45,19 @@ class PlaneReturns(Value):
         rows = {name: getattr(self, name)[mask] for name in ("points", "offset", "sigma", "bias", "coupling")}
         return replace(self, **rows)
 
-    def with_elevations(self, normal: Floats, ring: Ints, sigma: float) -> PlaneReturns:
-        """Return them with an error of each ring's elevation, of a standard deviation in rad.
+    def with_angles(self, normal: Floats, ring: Ints, sensor: SensorModel | None) -> PlaneReturns:
+        """Return them with an error of each ring's elevation and of its azimuth.
 
         Args:
             normal: (3,) unit normal of the plane, LiDAR frame.
             ring: (N,) of each return.
-            sigma: rad.
+            sensor: says how large they are.
         """
-        rings, column = np.unique(ring, return_inverse=True)
-        moved = np.zeros((len(ring), len(rings)))
-        moved[np.arange(len(ring)), column] = sigma * (upward(self.points) @ normal) / self.sigma
-        errors = (*self.errors, *(SharedError(ELEVATION, ring=int(k)) for k in rings))
-        return replace(self, errors=errors, bias=np.hstack([self.bias, moved]))
+        up, left = angle_sds(sensor, ring)
+        columns, errors = angle_errors(
+            up * (upward(self.points) @ normal) / self.sigma, left * (leftward(self.points) @ normal) / self.sigma, ring
+        )
+        return replace(self, errors=(*self.errors, *errors), bias=np.hstack([self.bias, columns]))
 
     def with_brightness(self, normal: Floats, sigma: float) -> PlaneReturns:
         """Return them with a range bias that all share, of a standard deviation in metres.
@@ -117,10 +118,14 @@ def returns_on_plane(
         flatness: standard deviation of the target itself about its plane, metres.
     """
     points, sensor = scan.points, scan.sensor
-    range_noise, ring_bias = (sensor.range_noise, sensor.ring_bias) if sensor else (0.01, 0.01)
+    range_noise, ring_bias = 0.01, np.full(len(points), 0.01)
+    if sensor is not None:
+        known = scan.ring is not None and scan.ring.max(initial=0) < sensor.n_rings
+        range_noise = sensor.range_noise
+        ring_bias = sensor.range_bias_sds[scan.ring] if known else np.full(len(points), sensor.ring_bias)
     along = points @ normal
     cosine = np.abs(along) / np.linalg.norm(points, axis=1)
-    turning = np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
+    turning = leftward(points)
     sideways = turning @ normal  # off the plane, metres per radian of azimuth
     sigma = np.sqrt((range_noise * cosine) ** 2 + (azimuth_noise * sideways) ** 2 + flatness**2)
     rings, column = np.unique(np.zeros(len(points), int) if scan.ring is None else scan.ring, return_inverse=True)

@@ -23,7 +23,7 @@ from operator import add
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, Value, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, marginalised, root, triangular, triangular_by_parts
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
@@ -56,9 +56,13 @@ def ring_bias_columns(
     return B
 
 
-RANGE_BIAS, ELEVATION, EDGE_OFFSET, OUTER_EDGE = "range bias", "elevation", "edge offset", "outer edge"
-"""Kinds of errors of the sensor that the pose estimator knows: of ranges; of rings' elevations; of how far in the
-returns at all edges lie; and of where between two rings the target ends."""
+RANGE_BIAS, ELEVATION, AZIMUTH = "range bias", "elevation", "azimuth"
+EDGE_OFFSET, OUTER_EDGE = "edge offset", "outer edge"
+"""Kinds of errors of the sensor that the pose estimator knows: of rings' ranges, elevations and azimuths; of how far in
+the returns at all edges lie; and of where between two rings the target ends."""
+
+OF_RINGS = (RANGE_BIAS, ELEVATION, AZIMUTH)
+"""Kinds of errors that a ring of a sensor keeps, in all scans of it."""
 
 BRIGHTNESS, BLOOMING = "range bias by brightness", "blooming"
 """Kinds of errors that a surface's brightness makes: of all its ranges; and of how much further its rings reach."""
@@ -198,6 +202,12 @@ class BiasedMeasurement(Value):
         R = triangular_by_parts(np.vstack([np.eye(g, k + 13), ordered]), k)
         return BiasedMeasurement(R[g:, g:], self.n_rows, self.T_target_lidar, tuple(self.shared[i] for i in kept))
 
+    def rescaled(self, kind: str, factor: float) -> BiasedMeasurement:
+        """Return the measurement with the unit of the shared errors of a kind so many times as large."""
+        stack = self.stack.copy()
+        stack[:, [i for i, error in enumerate(self.shared) if error.kind == kind]] *= factor
+        return BiasedMeasurement(stack, self.n_rows, self.T_target_lidar, self.shared)
+
     def displaced(
         self, errors: Sequence[SharedError], effect: ArrayLike, T_target_lidar: ArrayLike
     ) -> BiasedMeasurement:
@@ -263,7 +273,21 @@ class BiasedMeasurement(Value):
         What an error of theirs does to one scan is within what its ring ends scatter; of many it would be the mean's
         error.
         """
-        return self.marginal([float(error.kind != ELEVATION) for error in self.shared])
+        return self.marginal(1.0)
+
+
+def angle_errors(by_elevation: Floats, by_azimuth: Floats, ring: Ints) -> tuple[Floats, tuple[SharedError, ...]]:
+    """Return what errors of rings' elevations and azimuths do to rows, as columns (N, 2 R), and the errors (2 R,).
+
+    Args:
+        by_elevation: (N,) how far a standard deviation of its ring's elevation moves each row, in the rows' unit.
+        by_azimuth: (N,) the same of its azimuth.
+        ring: (N,) of each row.
+    """
+    rings, column = np.unique(ring, return_inverse=True)
+    own = column[:, None] == np.arange(len(rings))
+    columns = np.hstack([by_elevation[:, None] * own, by_azimuth[:, None] * own])
+    return columns, tuple(SharedError(kind, ring=int(k)) for kind in (ELEVATION, AZIMUTH) for k in rings)
 
 
 def fuse_static(measurements: Sequence[BiasedMeasurement], sigma: ArrayLike) -> TemplateMeasurement:

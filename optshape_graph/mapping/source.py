@@ -275,12 +275,12 @@ def session_scans(session: Session, skipped: Skipped, lidar: str | None = None) 
     for k, view in enumerate(views):
         stamp = float(k) if view.stamp is None else view.stamp
         if stamp <= last:
-            skipped.add(BadMessage("stamp duplicated", f"{stamp} s"), str(view.scan))
+            skipped.add(BadMessage("stamp duplicated", f"{stamp} s"), str(view.cloud))
             continue
         try:
-            scan = read_scan(view.scan, session.lidars[view.lidar], unused=skipped.unused)
+            scan = read_scan(view.cloud, session.lidars[view.lidar], unused=skipped.unused)
         except InputError as error:
-            skipped.add(BadMessage("unreadable file", str(error)), str(view.scan))
+            skipped.add(BadMessage("unreadable file", str(error)), str(view.cloud))
             continue
         last = stamp
         yield Stamped(stamp, scan)

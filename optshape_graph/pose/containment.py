@@ -141,7 +141,7 @@ class Slack:
         beam, options = evidence.problem.beam, evidence.problem.options
         distance = np.median(np.linalg.norm(evidence.scan.points, axis=1))
         width = float(beam.width(distance))
-        offset = float(np.hypot(beam.COMMON * width, beam.blooming * distance))
+        offset = float(np.hypot(beam.common * width, beam.blooming * distance))
         return cls(float(np.hypot(options.flatness, beam.OWN * width)), offset, options.strays)
 
 

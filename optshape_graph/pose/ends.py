@@ -9,10 +9,11 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.beam import Beam, outermost_return
-from optshape_graph.edges import UP, EdgePoints
+from optshape_graph.edges import UP, EdgePoints, leftward, upward
 from optshape_graph.factors._rows import triangular
 from optshape_graph.gaussian import chi_square_tail, f_tail
 from optshape_graph.pose.options import PoseOptions
+from optshape_graph.sensor import SensorModel, angle_sds
 from optshape_graph.target import Target
 
 SEEN = 0.02
@@ -39,6 +40,7 @@ class Problem(Value):
         plane: (13, 13) quadratic form in [z; 1] of the returns' whitened distances from the plane.
         beam: of the sensor, which scatters the ring ends about the edges.
         options: of them, how flat and true to its drawing a target is, and how many ring ends are lost.
+        sensor: how far its rings look elsewhere than its file says; None: unknown.
     """
 
     edges: EdgePoints
@@ -46,6 +48,7 @@ class Problem(Value):
     plane: Floats
     beam: Beam
     options: PoseOptions
+    sensor: SensorModel | None = None
 
     @cached_property
     def ring_shifts(self) -> Floats:
@@ -90,7 +93,11 @@ class Problem(Value):
         along = (n * u).sum(axis=-1)
         across = self.beam.width(np.linalg.norm(p, axis=1)) * np.sqrt(1.0 + mu**2)
         shift, scatter = outermost_return(np.abs(along) * edges.width / across)
-        shift = shift * across
+        shift = (shift - self.beam.offset) * across
+        up, left = angle_sds(self.sensor, edges.ring)
+        by_angle = direction @ R
+        lifted, turned = up * (by_angle * upward(p)).sum(axis=-1), left * (by_angle * leftward(p)).sum(axis=-1)
+        own = self.options.flatness**2 + (self.beam.OWN * scatter * across) ** 2 + (edges.scatter * along) ** 2
         return EdgeGeometry(
             labels=labels,
             direction=direction,
@@ -98,7 +105,9 @@ class Problem(Value):
             along=along,
             across=across,
             shift=shift,
-            own=self.options.flatness**2 + (self.beam.OWN * scatter * across) ** 2 + (edges.scatter * along) ** 2,
+            own=own + lifted**2 + turned**2,
+            lifted=lifted,
+            turned=turned,
         )
 
     def fit(self, T_target_lidar: Floats, labels: Ints) -> EndsFit:
@@ -121,7 +130,7 @@ class Problem(Value):
         pose = [ny, nz, (nz * y - ny * z) / target.circumradius]
         strains = self.strains(labels, boundary, T_target_lidar)
         residual = g.residual[0] + along * edges.middle
-        common = [across * self.beam.COMMON, -along * self.blooming[:, 0]]
+        common = [across * self.beam.common, -along * self.blooming[:, 0]]
         rows = np.column_stack([*pose, *common, strains, residual]) / sd[:, None]
         prior = np.diag([1e-6, 1e-6, 1e-6, 1.0, 1.0])
         weight = np.ones(len(rows))
@@ -152,7 +161,10 @@ class EdgeGeometry(Value):
         along: (C, M) how fast it grows along the ring, outwards, metres per radian.
         across: (C, M) how fast it grows with the offset across the edge, metres per beam width.
         shift: (C, M) how much further out the last return lies than a single ray would, metres.
-        own: (C, M) variance across the edge that is each edge point's own, quantisation apart, m2.
+        own: (C, M) variance across the edge, quantisation apart, m2: each edge point's own, and its ring's.
+        lifted: (C, M) how far a standard deviation of its ring's elevation moves each edge point across its edge, in
+            metres.
+        turned: (C, M) the same of its azimuth.
     """
 
     labels: Ints
@@ -162,6 +174,8 @@ class EdgeGeometry(Value):
     across: Floats
     shift: Floats
     own: Floats
+    lifted: Floats
+    turned: Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)

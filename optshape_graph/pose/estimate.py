@@ -16,7 +16,7 @@ from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.paper import find_as_paper
 from optshape_graph.pose.result import Ambiguity, PoseEstimate, Status
 from optshape_graph.pose.rings import find_by_rings
-from optshape_graph.scan import Scan, without_duplicates
+from optshape_graph.scan import Scan, put_right, without_duplicates
 from optshape_graph.se3 import inverse, inverse_covariance
 from optshape_graph.target import Target
 
@@ -60,7 +60,7 @@ def estimate_pose(
     for name, value, choices in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
         if value not in choices:
             raise InputError(f"{name} is {value!r}; expected one of {', '.join(map(repr, choices))}")
-    scan, duplicates = without_duplicates(scan)
+    scan, duplicates = without_duplicates(put_right(scan))
     if method == "paper" and scan.ring is None:
         raise EstimationError(f"{scan.name}: edge points need rings, and the cloud has none")
     evidence = measure(scan, target, options, as_recorded=method == "paper")

@@ -64,11 +64,6 @@ class Evidence(Value):
     angular_noise: float
     tilt: tuple[float, float] | None
 
-    @property
-    def elevation_error(self) -> float:
-        """Standard deviation over rings of how far elevations are off the sensor's table, rad."""
-        return self.scan.sensor.elevation_error if self.scan.sensor else SensorModel.elevation_error
-
     def displaced(self, measurement: BiasedMeasurement, T_target_lidar: Floats) -> BiasedMeasurement:
         """Let the plane that was fitted lie off the target's own.
 
@@ -146,12 +141,10 @@ def measure(scan: Scan, target: Target, options: PoseOptions, as_recorded: bool 
     if scan.ring is None:
         seen = residuals.as_seen(returns.with_bands(scan.points, BANDS))
     else:
-        elevation_error = scan.sensor.elevation_error if scan.sensor else SensorModel.elevation_error
-        seen = residuals.as_seen(returns)
-        seen = seen.with_elevations(plane.axes[0], ring[residuals.usual], elevation_error)
+        seen = residuals.as_seen(returns).with_angles(plane.axes[0], ring[residuals.usual], scan.sensor)
     brightness_bias = scan.sensor.brightness_bias if scan.sensor else SensorModel.brightness_bias
     on_plane = plane_measurement(seen.with_brightness(plane.axes[0], brightness_bias))
-    problem = Problem(edges, target, on_plane.of_one_scan().quadratic(), Beam.of(scan.sensor), options)
+    problem = Problem(edges, target, on_plane.of_one_scan().quadratic(), Beam.of(scan.sensor), options, scan.sensor)
     bounded = problem if angular_noise else replace(problem, edges=_bounded(edges, scan))
     return Evidence(
         scan, problem, bounded, plane, returns, residuals, residuals.surface(SEEN), on_plane, angular_noise, tilt
@@ -247,6 +240,10 @@ def coverage(evidence: Evidence, T_target_lidar: Floats, further: float) -> Cove
     right, left = (ends[0] for ends in chords(sides, elevation, edges.reference_azimuth))
     slack = step + float(np.median(evidence.reach(further) / np.linalg.norm(scan.points, axis=1)))
     beyond_left, beyond_right = left - edges.azimuth[::2], edges.azimuth[1::2] - right
+    # A ring that looks elsewhere than the table says ends elsewhere, far from there where it runs along the edge.
+    at = evidence.problem.geometry(T_target_lidar[None])
+    elsewhere = 2 * np.hypot(at.lifted[0], at.turned[0]) / np.maximum(np.abs(at.along[0]), 1e-6)
+    slack_left, slack_right = slack + elsewhere[::2], slack + elsewhere[1::2]
     azimuth, _ = relative_azimuth(scan.points)
     order = np.lexsort((azimuth, scan.ring))
     gaps = np.diff(azimuth[order])[np.diff(scan.ring[order]) == 0] / step
@@ -257,19 +254,19 @@ def coverage(evidence: Evidence, T_target_lidar: Floats, further: float) -> Cove
         missing_rings = int(np.count_nonzero(high - low > step + slack))
     return Coverage(
         outside=evidence.outside_beams(T_target_lidar, further),
-        missing_left=float(np.maximum(beyond_left - slack, 0.0).sum()) / step,
-        missing_right=float(np.maximum(beyond_right - slack, 0.0).sum()) / step,
+        missing_left=float(np.maximum(beyond_left - slack_left, 0.0).sum()) / step,
+        missing_right=float(np.maximum(beyond_right - slack_right, 0.0).sum()) / step,
         missing_inside=float(np.maximum(np.rint(gaps) - 1, 0).sum()),
         missing_rings=missing_rings,
         expected=float((np.maximum(left - right, 0.0) * edges.revolutions[::2]).sum()) / step,
         cut=max(
-            _at_one_azimuth(edges.azimuth[::2], beyond_left, step, slack),
-            _at_one_azimuth(edges.azimuth[1::2], beyond_right, step, slack),
+            _at_one_azimuth(edges.azimuth[::2], beyond_left, step, slack_left),
+            _at_one_azimuth(edges.azimuth[1::2], beyond_right, step, slack_right),
         ),
     )
 
 
-def _at_one_azimuth(azimuth: Floats, beyond: Floats, step: float, slack: float) -> int:
+def _at_one_azimuth(azimuth: Floats, beyond: Floats, step: float, slack: Floats) -> int:
     """Most ends within 1.5 steps of azimuth, the outline being a step and the beam away from each."""
     odd = np.sort(azimuth[np.abs(beyond) > step + slack])
     return int((np.searchsorted(odd, odd + 1.5 * step, side="right") - np.arange(len(odd))).max(initial=0))

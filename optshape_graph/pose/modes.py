@@ -225,7 +225,7 @@ def scan_log_likelihood(evidence: Evidence) -> LogDensity:
         z = vec(inverse(T_lidar_target))
         on_plane = -0.5 * (((z @ form[:12, :12] + 2 * form[12, :12]) * z).sum(axis=-1) + form[12, 12])
         corners = apply(T_lidar_target, target.vertices)
-        return np.asarray(on_plane - 0.5 * (offset / common) ** 2 + rays.log_likelihood(corners, offset))
+        return np.asarray(on_plane - 0.5 * (offset / common) ** 2 + rays.log_likelihood(corners, offset + beam.offset))
 
     return log_likelihood
 

@@ -39,7 +39,7 @@ _WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])
 _LARGEST_STEP = 0.15
 """Rotation by which a relinearisation moves a pose at most, rad."""
 
-_DAMPING = 0.8
+DAMPING = 0.8
 """Share of each update of an edge point that is taken."""
 
 
@@ -170,7 +170,7 @@ def posterior_step(
         settled: relative change of every precision below which more updates change nothing.
     """
     own, s = geometry.own, geometry.along
-    lower, upper, log_density = _residual_intervals(s, problem)
+    intervals = residual_intervals(s, problem)
     tau = 1.0 / (own + spread * s**2)
     nu = -tau * inset * s
     Jt = np.swapaxes(J, 1, 2)
@@ -182,30 +182,75 @@ def posterior_step(
         mean = (covariance @ shift[..., None])[..., 0]
         variance = ((J @ covariance) * J).sum(axis=-1)
         prediction = r + (J @ mean[..., None])[..., 0]
-        cavity_variance = 1.0 / np.maximum(1.0 / variance - tau, 1e-4 / variance)
-        cavity_mean = cavity_variance * (prediction / variance - nu)
-        seen = cavity_variance + own
-        log_mass, boundary, boundary_variance = mixture_moments(cavity_mean, seen, lower, upper, log_density)
+        site = update_sites(prediction, variance, own, intervals, tau, nu)
         if sweep == sweeps or change < settled:
             break
-        gain = cavity_variance / seen
-        tilted = cavity_mean + gain * (boundary - cavity_mean)
-        tilted_variance = cavity_variance * (1.0 - gain) + gain**2 * boundary_variance
-        # Where the mixture's two parts pull apart, a site can turn out to widen: then it says nothing.
-        informative = 1.0 / tilted_variance - 1.0 / cavity_variance
-        silent = informative < 1e-6 / seen
-        new_tau = np.where(silent, 1e-6 / seen, informative)
-        new_nu = np.where(silent, 0.0, tilted / tilted_variance - cavity_mean / cavity_variance)
-        change = float(np.max(np.abs(new_tau - tau) / (new_tau + tau)))
-        tau, nu = tau + _DAMPING * (new_tau - tau), nu + _DAMPING * (new_nu - nu)
+        change = float(np.max(np.abs(site.precision - tau) / (site.precision + tau)))
+        tau, nu = tau + DAMPING * (site.precision - tau), nu + DAMPING * (site.information - nu)
     log_evidence = (
         0.5 * ((mean * shift).sum(axis=-1) - np.linalg.slogdet(precision)[1])
         - 0.5 * (shift0 * np.linalg.solve(precision0, shift0[..., None])[..., 0]).sum(axis=-1)
         + 0.5 * np.linalg.slogdet(precision0)[1]
-        + (log_mass + 0.5 * _log_ratio(cavity_mean, cavity_variance, tau, nu)).sum(axis=-1)
+        + (site.log_mass + 0.5 * _log_ratio(site.cavity_mean, site.cavity_variance, tau, nu)).sum(axis=-1)
         - 0.5 * (tau * r**2 - 2 * nu * r).sum(axis=-1)
     )
     return Step(mean, np.asarray(covariance), tau, nu, log_evidence)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sites(Value):
+    """Gaussians that stand for intervals in the company of everything else, and that company.
+
+    Attributes:
+        precision: (...) of each Gaussian in its residual, 1/m2.
+        information: (...) its mean times its precision, 1/m.
+        cavity_mean: (...) of the residual without it, metres.
+        cavity_variance: (...) of that, m2.
+        log_mass: (...) logarithm of the interval's probability without it.
+    """
+
+    precision: Floats
+    information: Floats
+    cavity_mean: Floats
+    cavity_variance: Floats
+    log_mass: Floats
+
+
+def update_sites(
+    prediction: Floats,
+    variance: Floats,
+    own: Floats,
+    intervals: tuple[Floats, Floats, Floats],
+    tau: Floats,
+    nu: Floats,
+) -> Sites:
+    """Return the Gaussians that stand for intervals, given what all Gaussians together say of the residuals.
+
+    Args:
+        prediction: (...) mean of each residual, metres.
+        variance: (...) of that, m2.
+        own: (...) variance of each boundary point about its residual, m2.
+        intervals: of the residuals, see `residual_intervals`.
+        tau: (...) precision of the Gaussians that took part, 1/m2.
+        nu: (...) their means times it, 1/m.
+    """
+    cavity_variance = 1.0 / np.maximum(1.0 / variance - tau, 1e-4 / variance)
+    cavity_mean = cavity_variance * (prediction / variance - nu)
+    seen = cavity_variance + own
+    log_mass, boundary, boundary_variance = mixture_moments(cavity_mean, seen, *intervals)
+    gain = cavity_variance / seen
+    tilted = cavity_mean + gain * (boundary - cavity_mean)
+    tilted_variance = cavity_variance * (1.0 - gain) + gain**2 * boundary_variance
+    # Where the mixture's two parts pull apart, a site can turn out to widen: then it says nothing.
+    informative = 1.0 / tilted_variance - 1.0 / cavity_variance
+    silent = informative < 1e-6 / seen
+    return Sites(
+        np.where(silent, 1e-6 / seen, informative),
+        np.where(silent, 0.0, tilted / tilted_variance - cavity_mean / cavity_variance),
+        cavity_mean,
+        cavity_variance,
+        log_mass,
+    )
 
 
 def _sweep(
@@ -223,7 +268,7 @@ def _sweep(
     precision0[:, :6, :6] = np.swapaxes(D, 1, 2) @ problem.plane[:12, :12] @ D + _WEAK_PRIOR
     shift0 = np.zeros(precision0.shape[:2])
     shift0[:, :6] = -((z @ problem.plane[:12, :12] + problem.plane[12, :12])[:, None] @ D)[:, 0]
-    precision0[:, 6, 6] = 1.0 / problem.beam.COMMON**2
+    precision0[:, 6, 6] = 1.0 / problem.beam.common**2
     shift0[:, 6] = -precision0[:, 6, 6] * offset
 
     step = posterior_step(problem, geometry, precision0, shift0, J, r, inset, spread, sweeps)
@@ -249,7 +294,7 @@ def _log_ratio(cavity_mean: Floats, cavity_variance: Floats, tau: Floats, nu: Fl
     return np.asarray(np.log(total / precision) - shift**2 / total + cavity_mean**2 * precision)
 
 
-def _residual_intervals(along: Floats, problem: Problem) -> tuple[Floats, Floats, Floats]:
+def residual_intervals(along: Floats, problem: Problem) -> tuple[Floats, Floats, Floats]:
     """Where the residual of a boundary point lies (2, C, M): within its interval, or, for a lost return, about it.
 
     Densities are per step. A point that leaves its edge inwards cannot have ended there: its first interval is

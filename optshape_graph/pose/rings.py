@@ -13,16 +13,16 @@ from dataclasses import replace
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
-from optshape_graph.edges import UP, EdgePoints, upward
+from optshape_graph.edges import UP, EdgePoints
 from optshape_graph.factors.measurement import refine, template_rows
 from optshape_graph.factors.static import (
     BLOOMING,
     EDGE_OFFSET,
-    ELEVATION,
     OUTER_EDGE,
     STRAIN,
     BiasedMeasurement,
     SharedError,
+    angle_errors,
 )
 from optshape_graph.pose.evidence import Evidence, Finding
 from optshape_graph.pose.modes import Modes, SampledPose, compare_modes, find_candidates
@@ -89,7 +89,8 @@ def _edge_measurement(
     """Boundary points against their edges, before what they share is marginalised; and their weight.
 
     They share the offset across the edges, the blooming, and the strains of an outline that isn't as drawn, as large as
-    are seen; those of a ring its elevation's error. Ends that scatter more than they should count less.
+    are seen; those of a ring the errors of its elevation and of its azimuth. Ends that scatter more than they should
+    count less.
 
     Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely
     take part: a weighted mean of their costs is a cost of the same form. Its minimum is near the mixture's mean where
@@ -109,7 +110,7 @@ def _edge_measurement(
     mean = np.einsum("c,cij->ij", weight, covariance)
     weight = weight / np.trace(np.linalg.solve(covariance, mean), axis1=1, axis2=2)
     weight /= weight.sum()
-    rings, outside = np.unique(problem.edges.ring), np.abs(problem.edges.side) == UP
+    outside = np.abs(problem.edges.side) == UP
     rows, total = [], 0.0
     for k in np.flatnonzero(weight):
         one = posterior.select(slice(k, k + 1))
@@ -118,13 +119,14 @@ def _edge_measurement(
         A, r = template_rows(
             boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]] + geometry.shift[0]
         )
-        own, outer = _outer_edges(problem.edges, sigma, geometry.own[0])
-        offset = geometry.across[0] * problem.beam.COMMON
+        of_ring = geometry.lifted[0] ** 2 + geometry.turned[0] ** 2
+        sigma = np.sqrt(np.maximum(sigma**2 - of_ring, 0.1 * sigma**2))
+        own, outer = _outer_edges(problem.edges, sigma, geometry.own[0] - of_ring)
+        offset = geometry.across[0] * problem.beam.common
         further = -geometry.along[0] * problem.blooming[:, 0]
         strains = strain * problem.strains(geometry.labels[0], boundary, one.T_target_lidar[0])
-        up = (geometry.direction[0] * (upward(boundary) @ one.T_target_lidar[0, :3, :3].T)).sum(axis=1)
-        lifted = evidence.elevation_error * up[:, None] * (problem.edges.ring[:, None] == rings)
-        whitened = np.column_stack([offset, further, strains, outer, lifted, A, r]) / (factor * own[:, None])
+        by_angle, angles = angle_errors(geometry.lifted[0], geometry.turned[0], problem.edges.ring)
+        whitened = np.column_stack([offset, further, strains, outer, by_angle, A, r]) / (factor * own[:, None])
         shifts = _without_shifts(problem.ring_shifts * (geometry.along[0] / own)[:, None])
         rows.append(np.sqrt(weight[k]) * shifts @ whitened)
         total += float(weight[k] * (1 / (factor * sigma) ** 2).sum())
@@ -137,7 +139,7 @@ def _edge_measurement(
         [
             *(SharedError(kind) for kind in (EDGE_OFFSET, BLOOMING, *STRAIN)),
             *(SharedError(OUTER_EDGE, ring=int(ring)) for ring in problem.edges.ring[outside]),
-            *(SharedError(ELEVATION, ring=int(ring)) for ring in rings),
+            *angles,
         ],
     )
     return replace(measurement, n_rows=len(problem.edges)), total

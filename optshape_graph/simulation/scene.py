@@ -17,7 +17,7 @@ from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation.motion import Motion
 from optshape_graph.simulation.noise import IDEAL, NoiseModel
 from optshape_graph.simulation.odd_ends import make_odd_ends
-from optshape_graph.simulation.rays import EdgeMargin, Revolution, unit_vectors
+from optshape_graph.simulation.rays import AngleErrors, EdgeMargin, Revolution, unit_vectors
 from optshape_graph.simulation.surfaces import Patch, Surface
 from optshape_graph.target import Target
 
@@ -84,6 +84,7 @@ def simulate(
     noise: NoiseModel = IDEAL,
     rng: np.random.Generator | int = 0,
     range_bias: Floats | None = None,
+    angle_errors: AngleErrors | None = None,
     spin_rate: float = 10.0,
     name: str = "simulated",
 ) -> SimulatedScan:
@@ -96,7 +97,9 @@ def simulate(
             ray is fired from the pose at its own time, and its point is in the LiDAR frame of that time.
         noise: how measurements err; none by default.
         rng: generator or seed.
-        range_bias: (R,) range bias of each ring, metres; None: drawn from the noise.
+        range_bias: (R,) range bias of each ring beside the one that the sensor's file has, metres; None: drawn from
+            the noise.
+        angle_errors: how far rings look elsewhere than the sensor's file says; None: drawn from the noise.
         spin_rate: revolutions per second; sets the times.
         name: the scan's name.
 
@@ -104,10 +107,12 @@ def simulate(
         InputError: the sensor has no azimuth step, or range biases of another number of rings.
     """
     rng = np.random.default_rng(rng)
-    rays = Revolution.of(sensor, noise.draw_phase(sensor.azimuth_step or 0.0, rng), spin_rate)
+    errors = noise.draw_angle_errors(sensor.n_rings, rng) if angle_errors is None else angle_errors
+    rays = Revolution.of(sensor, noise.draw_phase(sensor.azimuth_step or 0.0, rng), spin_rate, errors)
     bias = noise.draw_range_bias(sensor.n_rings, rng) if range_bias is None else frozen(range_bias)
     if bias.shape != (sensor.n_rings,):
         raise InputError(f"sensor '{sensor.name}' has {sensor.n_rings} rings; found range biases of shape {bias.shape}")
+    bias = bias + sensor.deviations[0]
     placement: Any = np.eye(4) if T_world_lidar is None else T_world_lidar
     if not hasattr(placement, "at"):  # no motion
         placement = as_transform(placement, "T_world_lidar")
@@ -145,6 +150,7 @@ def simulate_target(
     noise: NoiseModel = IDEAL,
     rng: np.random.Generator | int = 0,
     range_bias: Floats | None = None,
+    angle_errors: AngleErrors | None = None,
     name: str = "simulated",
 ) -> Scan:
     """Return one revolution's returns on one target, and nothing else: see `simulate`.
@@ -155,11 +161,14 @@ def simulate_target(
         T_lidar_target: (4, 4) the target's pose.
         noise: how measurements err; none by default.
         rng: generator or seed.
-        range_bias: (R,) range bias of each ring, metres; None: drawn from the noise.
+        range_bias: (R,) range bias of each ring beside the one that the sensor's file has, metres; None: drawn from
+            the noise.
+        angle_errors: how far rings look elsewhere than the sensor's file says; None: drawn from the noise.
         name: the scan's name.
     """
     scene = Scene((Patch(target, as_transform(T_lidar_target, "T_lidar_target")),))
-    return simulate(scene, sensor, noise=noise, rng=rng, range_bias=range_bias, name=name).scan
+    made = simulate(scene, sensor, noise=noise, rng=rng, range_bias=range_bias, angle_errors=angle_errors, name=name)
+    return made.scan
 
 
 def random_rings(scan: Scan, share: float, rng: np.random.Generator | int = 0) -> Ints:

@@ -215,6 +215,7 @@ TITLES = {
     "detect": "Targets in full scans",
     "mocap": "Calibration of a LiDAR to motion capture",
     "camera-calibration": "Calibration of a LiDAR to a camera",
+    "rig": "Calibration of a rig",
     "map": "Map of targets",
     "design-choice": "Choice of a target",
     "simulation-evaluation": "Estimates in simulation",

@@ -44,11 +44,28 @@ def tables_of(document: Mapping[str, Any]) -> list[Table]:
             _camera_views(document),
             _transform("T_camera_lidar", document["T_camera_lidar"], document["covariance"]),
         ]
+    if kind == "rig":
+        pairs = document["transforms"]
+        named = [_transform(f"T_{one['a']}_{one['b']}", one["T_a_b"], one["covariance"]) for one in pairs]
+        return [_rig_sightings(document), *named]
     if kind == "simulation-evaluation":
         return [_simulated_cells(document)]
     if kind == "mocap-evaluation":
         return [_compared_scans(document)]
     return [_sizes(document)]
+
+
+def _rig_sightings(document: Mapping[str, Any]) -> Table:
+    rows = [
+        (
+            one["sensor"], one["target"], one["file"], "yes" if one["used"] else "no",
+            "" if one["centre_error_m"] is None else _mm(one["centre_error_m"]), _number(one["turn_error_deg"]),
+            one["reason"],
+        )
+        for one in document["sightings"]
+    ]  # fmt: skip
+    columns = ("sensor", "target", "file", "used", "centre mm", "turn deg", "why not")
+    return Table("Sightings, each placement predicted by the others", columns, tuple(rows))
 
 
 def _mocap_scans(document: Mapping[str, Any]) -> Table:

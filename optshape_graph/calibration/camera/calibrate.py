@@ -100,7 +100,7 @@ def calibrate(
     start = _start(views)
     base, cameras = next(iter(start.rig.T_base_sensor)), tuple(start.rig.cameras)
     lidars = dict.fromkeys([base, *(s.sensor for s in start.sightings if isinstance(s.seen, TargetInScan))])
-    lenses = check_lenses(views)
+    lenses = check_lenses(view.image for view in views if view.image is not None)
     wrong = {lens.camera for lens in lenses if lens.contradicted}
     refined = frozenset({None: wrong, True: set(cameras), False: set[str]()}[unknowns.intrinsics])
 
@@ -110,14 +110,21 @@ def calibrate(
     def graph_as_they_come(free_lenses: Collection[str]) -> CalibrationGraph:
         return CalibrationGraph(start.sightings, base, 0.0, free_lenses, as_they_come=True)
 
+    everything_free = graph_of(cameras)
     best, used, squared, discrepancy = _solve_robustly(graph_of(refined), start, views)
+    if refined != set(cameras) and set(squared) - used:
+        # Views disagree: where they do not under a lens as near to the given one as that is good for, it is the lens.
+        free, agreeing, distances, _ = _solve_robustly(everything_free, start, views)
+        if agreeing > used:
+            used, squared = agreeing, distances
+            best, discrepancy = _settled(graph_of(refined), start, free, used)
     taking_part = {s.sensor for s in start.sightings if used & set(s.views)}
     if missing := sorted(set(start.rig.T_base_sensor) - taking_part):
         raise EstimationError(f"no view of {', '.join(missing)} agrees with those of the other sensors")
     scans = [s for s in start.sightings if s.sensor == base and used & set(s.views)]
-    # What is not known of the lenses, refined or not, is part of what is not known of the cameras' places.
-    everything_free = graph_of(cameras)
-    most_likely = everything_free.solve(used.__contains__, best, discrepancy)
+    # What is not known of the lenses, refined or not, is part of what is not known of the cameras' places. With a lens
+    # that is not quite as given, scans and images differ by more than they scatter: settled with the lens free.
+    most_likely, discrepancy = _settled(everything_free, start, best, used)
     uncertainty = everything_free.uncertainty(used.__contains__, most_likely, discrepancy)
     check_observable(uncertainty, middle(scans))
     graph = graph_as_they_come(refined)

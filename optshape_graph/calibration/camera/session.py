@@ -18,7 +18,7 @@ from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.images.reading import ImageTask, TargetInImage, find_targets
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors import RANGE_BIAS, SharedError
+from optshape_graph.factors import OF_RINGS, RANGE_BIAS, SharedError
 from optshape_graph.io import Session, read_scan
 from optshape_graph.io import View as Entry
 from optshape_graph.io.passed_over import UNUSABLE, PassedOver
@@ -64,8 +64,8 @@ def read_views(
         EstimationError: no image, or no scan, shows a target; the message has the reason of each.
     """
     check_session(session)
-    image_tasks, scan_tasks = _image_tasks(session), _scan_tasks(session, use_target_points)
-    total, done, lock = len(image_tasks) + len(scan_tasks), 0, Lock()
+    of_images, of_scans = image_tasks(session), scan_tasks(session, use_target_points)
+    total, done, lock = len(of_images) + len(of_scans), 0, Lock()
 
     def tick() -> None:
         nonlocal done
@@ -75,17 +75,17 @@ def read_views(
                 progress(done, total)
 
     kept = kept or Kept()
-    images = _read_images(session, image_tasks, tick, kept)
+    images = read_images(session, of_images, tick, kept)
     passed_over = PassedOver() if passed_over is None else passed_over
-    scans = _read_scans(session, scan_tasks, use_target_points, tick, passed_over.unused("scans"), kept)
-    _check_found(session, scans.values(), TargetInScan, "scan")
+    scans = read_scans(session, of_scans, use_target_points, tick, passed_over.unused("scans"), kept)
+    check_found(session, scans.values(), TargetInScan, "scan")
     for source, results in (("scans", scans), ("images", images)):
-        _count_skipped(passed_over, source, results)
-    placements = _placements(session.views)
+        count_skipped(passed_over, source, results)
+    placements = moments_of(session.views)
     views = []
     for number, entry in enumerate(session.views):
         for name in entry.targets:
-            scan = scans[_scan_file(entry, use_target_points), entry.lidar, name]
+            scan = scans[scan_file(entry, use_target_points), entry.lidar, name]
             image = images.get((entry.image, entry.camera, name)) if entry.image and entry.camera else None
             problems = [str(found) for found in (scan, image) if isinstance(found, Exception)]
             views.append(
@@ -94,8 +94,8 @@ def read_views(
                     target=replace(session.targets[name], name=name),  # two boards of one file are two boards
                     scan=scan if isinstance(scan, TargetInScan) else None,
                     image=image if isinstance(image, TargetInImage) else None,
-                    scan_name=_relative(entry.scan, session),
-                    image_name=_relative(entry.image, session) if entry.image else "",
+                    scan_name=relative_to(session, entry.cloud),
+                    image_name=relative_to(session, entry.image) if entry.image else "",
                     problem="; ".join(problems),
                 )
             )
@@ -121,6 +121,7 @@ def target_in_scan(
     if estimate.status == "failed" or estimate.shared is None:
         raise EstimationError(f"{returns.name}: {estimate.reason}")
     shared, shared_effect = _shared_errors(estimate)
+    passing = [error for error in estimate.shared.shared if not persists(error)]
     return TargetInScan(
         lidar=lidar,
         scan=returns.name,
@@ -130,6 +131,8 @@ def target_in_scan(
         uncorrected=estimate.shared.marginal([float(e.kind != RANGE_BIAS) for e in estimate.shared.shared]),
         shared=shared,
         shared_effect=shared_effect,
+        persistent=estimate.shared.without(passing),
+        bias_factor=estimate.fit.bias_factor,
         edge_inset=estimate.inset_rad,
         doubt=estimate.reason if estimate.status == "doubtful" else "",
         own=returns,
@@ -137,10 +140,15 @@ def target_in_scan(
     )
 
 
-def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[SharedError, ...], Floats]:
-    """Return the rings whose range biases move the pose, and how: (6, R), right perturbation of T_lidar_target.
+def persists(error: SharedError) -> bool:
+    """Return whether an error is the LiDAR's own, in every scan: a ring's."""
+    return error.ring is not None and error.kind in OF_RINGS
 
-    The estimate allows for biases delta of its own; beside true ones beta it minimises
+
+def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[SharedError, ...], Floats]:
+    """Return the errors of rings that move the pose, and how: (6, K), right perturbation of T_lidar_target.
+
+    The estimate allows for errors delta of its own; beside true ones beta it minimises
     ||S_pose x + S_bias (delta + beta) ||^2 + ||delta||^2.
     """
     assert estimate.shared is not None
@@ -148,14 +156,15 @@ def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[SharedError, ...], Flo
     k = len(errors)
     by_pose = stack[:, k:-1] @ vec_derivative(estimate.T_target_lidar)
     rows = np.block([[by_pose, stack[:, :k]], [np.zeros((k, 6)), np.eye(k)]])
-    rings = [j for j, error in enumerate(errors) if error.kind == RANGE_BIAS]
+    rings = [j for j, error in enumerate(errors) if error.kind in OF_RINGS]
     biases = np.vstack([stack[:, rings], np.zeros((k, len(rings)))])
     x = np.linalg.lstsq(rows, -biases, rcond=None)[0][:6]
     # (T Exp(x))^-1 = T^-1 Exp(-Ad(T) x)
     return tuple(errors[j] for j in rings), np.asarray(-adjoint(estimate.T_target_lidar) @ x)
 
 
-def _image_tasks(session: Session) -> dict[ImageKey, ImageTask]:
+def image_tasks(session: Session) -> dict[ImageKey, ImageTask]:
+    """Return the targets to look for in each image of each camera."""
     return {
         (entry.image, entry.camera, name): ImageTask(
             entry.image, session.targets[name], replace(session.cameras[entry.camera], name=entry.camera), entry.corners
@@ -166,29 +175,37 @@ def _image_tasks(session: Session) -> dict[ImageKey, ImageTask]:
     }
 
 
-def _scan_tasks(session: Session, use_target_points: bool) -> dict[tuple[Path, str], list[str]]:
+def scan_tasks(session: Session, use_target_points: bool) -> dict[tuple[Path, str], list[str]]:
     """Return the targets to look for in each scan of each LiDAR."""
     wanted: dict[tuple[Path, str], list[str]] = {}
     for entry in session.views:
-        names = wanted.setdefault((_scan_file(entry, use_target_points), entry.lidar), [])
+        if entry.scan is None:
+            continue
+        names = wanted.setdefault((scan_file(entry, use_target_points), entry.lidar), [])
         names.extend(name for name in entry.targets if name not in names)
     return wanted
 
 
-def _read_images(
+def read_images(
     session: Session, tasks: Mapping[ImageKey, ImageTask], tick: Callable[[], None], kept: Kept
 ) -> dict[ImageKey, ImageResult]:
+    """Find targets in images.
+
+    Raises:
+        InputError: the intrinsics fit half of the images or fewer.
+        EstimationError: no image shows a target.
+    """
     found = find_targets(list(tasks.values()), tick, kept)
     unfit = [error for error in found if isinstance(error, InputError)]
     shown = sum(isinstance(one, TargetInImage) for one in found)
     if unfit and shown <= len(unfit):
         others = f" ({len(unfit)} of {len(unfit) + shown} images do not fit)" if len(unfit) > 1 else ""
         raise InputError(f"{unfit[0]}{others}")
-    _check_found(session, found, TargetInImage, "image")
+    check_found(session, found, TargetInImage, "image")
     return dict(zip(tasks, found, strict=True))
 
 
-def _check_found(session: Session, found: Iterable[object], kind: type, what: str) -> None:
+def check_found(session: Session, found: Iterable[object], kind: type, what: str) -> None:
     """Raise with the reasons where no file shows a target."""
     results = list(found)
     if not any(isinstance(one, kind) for one in results):
@@ -197,7 +214,7 @@ def _check_found(session: Session, found: Iterable[object], kind: type, what: st
         raise EstimationError(f"{session.path}: no {what} shows a target: {'; '.join(reasons)}")
 
 
-def _count_skipped(passed_over: PassedOver, source: str, results: Mapping[tuple[Path, str, str], object]) -> None:
+def count_skipped(passed_over: PassedOver, source: str, results: Mapping[tuple[Path, str, str], object]) -> None:
     """Count the files that show none of their targets, by what the first of them says."""
     files: dict[Path, list[object]] = {}
     for (path, _, _), result in results.items():
@@ -207,7 +224,7 @@ def _count_skipped(passed_over: PassedOver, source: str, results: Mapping[tuple[
             passed_over.skip(source, UNUSABLE if isinstance(found[0], InputError) else "no target found")
 
 
-def _read_scans(
+def read_scans(
     session: Session,
     tasks: Mapping[tuple[Path, str], list[str]],
     are_crops: bool,
@@ -215,6 +232,7 @@ def _read_scans(
     unused: Counter[str],
     kept: Kept,
 ) -> dict[tuple[Path, str, str], ScanResult]:
+    """Find targets in scans, by file, LiDAR and target."""
     results: dict[tuple[Path, str, str], ScanResult] = {}
     for (path, lidar), names in tasks.items():
         targets = {name: session.targets[name] for name in names}
@@ -275,25 +293,27 @@ def _detected(scan: Scan, lidar: str, targets: Mapping[str, Target]) -> dict[str
     return results
 
 
-def _scan_file(entry: Entry, use_target_points: bool) -> Path:
+def scan_file(entry: Entry, use_target_points: bool) -> Path:
     if not use_target_points:
-        return entry.scan
+        return entry.cloud
     if entry.target_points is None:
-        raise InputError(f"{entry.scan}: the view has no 'target_points', which were asked for")
+        raise InputError(f"{entry.cloud}: the view has no 'target_points', which were asked for")
     return entry.target_points
 
 
-def _placements(entries: Sequence[Entry]) -> list[int]:
+def moments_of(entries: Sequence[Entry]) -> list[int]:
     """Return a number for each view, the same where they share a scan, an image or a stamp."""
     groups = DisjointSet(range(len(entries)))
     first: dict[object, int] = {}
     for number, entry in enumerate(entries):
-        for mark in (entry.scan, entry.image, entry.stamp):
-            if mark is not None:
+        marks = {"scan": entry.scan, "image": entry.image, "stamp": entry.stamp, "frame": entry.mocap_frame}
+        for mark in marks.items():
+            if mark[1] is not None:
                 groups.merge(first.setdefault(mark, number), number)
     return [groups[number] for number in range(len(entries))]
 
 
-def _relative(path: Path, session: Session) -> str:
+def relative_to(session: Session, path: Path) -> str:
+    """Return a path as messages show it, from the session's folder."""
     folder = session.path.parent
     return str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)

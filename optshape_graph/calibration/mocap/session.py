@@ -53,9 +53,9 @@ def load_mocap_scans(
         if len(found) != 1:
             raise InputError(f"{session.path}: a motion-capture calibration is of one {kind}; found {len(found)}")
     target = next(iter(session.targets.values()))
-    names = _markers_of_vertices(session.mocap, target, session.path)
+    names = markers_of_vertices(session.mocap, target, session.path)
     wanted = dict.fromkeys(view.mocap_frame for view in session.views if view.mocap_frame is not None)
-    frames = {number: _of_vertices(session.mocap.markers.frames[number], names) for number in wanted}
+    frames = {number: of_vertices(session.mocap.markers.frames[number], names) for number in wanted}
     checked = check_markers(target, frames, names, layout_prior, str(session.path))
     passed_over = PassedOver() if passed_over is None else passed_over
     for reason, count in session.mocap.markers.passed_over.items():
@@ -65,7 +65,7 @@ def load_mocap_scans(
     for done, view in enumerate(session.views):
         progress(done, len(session.views))
         folder = session.path.parent
-        name = str(view.scan.relative_to(folder) if view.scan.is_relative_to(folder) else view.scan)
+        name = str(view.cloud.relative_to(folder) if view.cloud.is_relative_to(folder) else view.cloud)
         scan = _estimated(name, view, session, target, checked, passed_over, kept or Kept())
         if isinstance(scan, LeftOut):
             left_out.append(scan)
@@ -97,7 +97,7 @@ def _estimated(
     seen = int(np.isfinite(markers).all(axis=1).sum())
     if seen < MIN_MARKERS:
         return left_out("too few markers", f"frame {frame} shows {seen} markers; {MIN_MARKERS} are needed")
-    path, sensor = view.target_points or view.scan, session.lidars[view.lidar]
+    path, sensor = view.target_points or view.cloud, session.lidars[view.lidar]
     returns = replace(read_scan(path, sensor, unused=passed_over.unused("scans")), name=name)
     of = {"scan": fingerprint([str(path)]), "name": name, "sensor": sensor, "target": target}
     try:
@@ -109,12 +109,12 @@ def _estimated(
     return MocapScan(name, estimate, markers, frame, returns)
 
 
-def _of_vertices(frame: Mapping[str, Floats], names: Sequence[str]) -> Floats:
+def of_vertices(frame: Mapping[str, Floats], names: Sequence[str]) -> Floats:
     """Return the positions (n, 3) of the markers with these names, NaN where a name is empty."""
     return np.array([frame[name] if name else np.full(3, np.nan) for name in names])
 
 
-def _markers_of_vertices(mocap: Mocap, target: Target, path: Path) -> list[str]:
+def markers_of_vertices(mocap: Mocap, target: Target, path: Path) -> list[str]:
     """For each vertex the name of the marker near it, "" where there is none."""
     if mocap.vertices:
         names = [""] * len(target)

@@ -15,7 +15,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.io.clouds.columns import Columns, Role, roles
 from optshape_graph.io.clouds.rings import rings_by_firing, rings_of_elevations, rings_of_ids
 from optshape_graph.io.times import seconds_of_points
-from optshape_graph.scan import Scan
+from optshape_graph.scan import Scan, put_right
 from optshape_graph.sensor import SensorModel
 
 _LOG = logging.getLogger(__name__)
@@ -51,6 +51,7 @@ def make_scan(
       from the elevations when the sensor is known; else there are none. However a driver numbers them, they come out
       counted from the lowest elevation, and as rows of the sensor's table where the sensor is known (see `rings`).
       Livox's lines, beside which there is a tag, are lasers of a pattern without rings.
+    - Returns are put where a calibrated sensor's file says that they are (`put_right`).
     - Times have the unit that follows from name, type and size (see `times.seconds_of_points`).
 
     Args:
@@ -104,7 +105,7 @@ def make_scan(
             _LOG.warning("%s: times of points that are not times; read without them", name)
     if unused is not None:
         unused.update(unused_columns(columns, known, seconds is not None))
-    return Scan(
+    scan = Scan(
         owned(points, np.float64),
         owned(ring, np.int64),
         None if intensity is None else owned(intensity.astype(np.float64), np.float64),
@@ -112,6 +113,7 @@ def make_scan(
         sensor,
         name,
     )
+    return put_right(scan)
 
 
 def unused_columns(columns: Columns, known: dict[str, Role], with_times: bool) -> list[str]:
