@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -53,7 +53,7 @@ T_CAMERA_LIDAR = transform(AXES @ Rotation.from_rotvec([0.03, 0.07, -0.05]).as_m
 
 @dataclass(frozen=True)
 class Sensor:
-    """A simulated LiDAR with the ring biases it keeps."""
+    """A simulated LiDAR with the ring biases it keeps, to which all boards are equally bright."""
 
     name: str
     model: SensorModel
@@ -62,8 +62,8 @@ class Sensor:
 
     @classmethod
     def drawn(cls, name: str, rng: np.random.Generator, mean_bias: float = 0.0) -> Sensor:
-        model = load_sensor("vlp16")
-        noise = NoiseModel.of(model)
+        model = replace(load_sensor("vlp16"), brightness_bias=0.0, blooming=0.0)
+        noise = replace(NoiseModel.of(model), odd_ends=0.0)
         return cls(name, model, noise, mean_bias + noise.draw_range_bias(model.n_rings, rng))
 
 
