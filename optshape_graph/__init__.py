@@ -6,43 +6,38 @@ scan, `factors` makes GTSAM factors of estimates, `graph` solves several scans a
 `mapping` build on it.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from optshape_graph._lazy import lazy
 from optshape_graph.errors import EstimationError, InputError, MissingExtraError, OptshapeError, UnobservableError
-from optshape_graph.scan import Scan
-from optshape_graph.sensor import SensorModel
-from optshape_graph.target import Chessboard, Target
 
 if TYPE_CHECKING:
     from optshape_graph.calibration.camera import CameraCalibration, calibrate_camera
     from optshape_graph.calibration.mocap import MocapCalibration, calibrate_mocap
+    from optshape_graph.calibration.sensor import SensorCalibration, calibrate_sensor
     from optshape_graph.detection import Detections, detect_targets
     from optshape_graph.io import load_sensor, load_session, load_target, read_scan
     from optshape_graph.mapping import Map, load_map, map_recording, save_map
     from optshape_graph.pose import PoseEstimate, estimate_pose
+    from optshape_graph.scan import Scan
+    from optshape_graph.sensor import SensorModel
+    from optshape_graph.target import Chessboard, Target
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "CameraCalibration": "calibration.camera",
-    "Detections": "detection",
-    "Map": "mapping",
-    "MocapCalibration": "calibration.mocap",
-    "PoseEstimate": "pose",
-    "calibrate_camera": "calibration.camera",
-    "calibrate_mocap": "calibration.mocap",
-    "detect_targets": "detection",
-    "estimate_pose": "pose",
-    "load_map": "mapping",
-    "map_recording": "mapping",
-    "load_sensor": "io",
-    "load_session": "io",
-    "load_target": "io",
-    "read_scan": "io",
-    "save_map": "mapping",
+    "calibration.camera": "CameraCalibration calibrate_camera",
+    "calibration.mocap": "MocapCalibration calibrate_mocap",
+    "calibration.sensor": "SensorCalibration calibrate_sensor",
+    "detection": "Detections detect_targets",
+    "io": "load_sensor load_session load_target read_scan",
+    "mapping": "Map load_map map_recording save_map",
+    "pose": "PoseEstimate estimate_pose",
+    "scan": "Scan",
+    "sensor": "SensorModel",
+    "target": "Chessboard Target",
 }
-"""Names that are imported when they are first used, and the subpackage that each comes from."""
+"""Subpackages, and the names that are imported from them when they are first used."""
 
 __all__ = [
     "CameraCalibration",
@@ -56,12 +51,14 @@ __all__ = [
     "OptshapeError",
     "PoseEstimate",
     "Scan",
+    "SensorCalibration",
     "SensorModel",
     "Target",
     "UnobservableError",
     "__version__",
     "calibrate_camera",
     "calibrate_mocap",
+    "calibrate_sensor",
     "detect_targets",
     "estimate_pose",
     "load_map",
@@ -73,14 +70,4 @@ __all__ = [
     "save_map",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'optshape_graph' has no attribute '{name}'")
-    found = getattr(import_module(f"optshape_graph.{_HOME[name]}"), name)
-    globals()[name] = found
-    return found
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOME})
+__getattr__, __dir__ = lazy(__name__, _HOME)

@@ -12,7 +12,7 @@ import click
 
 from optshape_graph.cli.console import SECONDS_BETWEEN, say, say_passed_over, terminal, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import FILE, POSITIVE, Number, force_option, outside_option, pool_options
+from optshape_graph.cli.options import FILE, POSITIVE, Number, example, force_option, outside_option, pool_options
 from optshape_graph.cli.plots import Pictures, plot_option
 
 T = TypeVar("T")
@@ -36,7 +36,9 @@ class Offset(click.ParamType):  # type: ignore[type-arg]  # generic in newer ver
         return "auto" if value == "auto" else Number(-1e11, 1e11).convert(value, param, ctx)
 
 
-@click.command()
+@click.command(
+    epilog=example("optshape map drive.bag --targets paper --sensor vlp32c --json map.json --tum trajectory.tum")
+)
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option("--targets", "--target", "target_names", multiple=True,
               help="Built-in name, NAME@AREA, or file; may be repeated. A session names its own.")  # fmt: skip
@@ -112,8 +114,6 @@ def command(
     Scans are placed by odometry, and by what they have in common with others; without odometry, by that alone. Scans
     that cannot be used are skipped with a reason and counted. Of several LiDARs, poses are those of the first. The exit
     status is 3 if no target was mapped, or the map is not to be trusted for another reason, which is said.
-
-    Example: optshape map drive.bag --targets paper --sensor vlp32c --json map.json --tum trajectory.tum
     """
     from math import radians
 
@@ -149,11 +149,11 @@ def command(
         "keyframe": keyframe, "shapes": as_built is not None, "biases": batch and lag is None,
         "files": fingerprint([*map(str, [*files, *filter(None, [extrinsics])]), *filter(None, inputs)]),
     }  # fmt: skip
-    kept = journal_of(json_file) if json_file else None
-    advice = (
-        f"what was seen is kept in {kept}; the same command goes on there" if kept else "--json keeps what was seen"
-    )
-    with Journal(kept, describe, None) as journal, _shown() as report, going_on(lambda: advice):
+    with (
+        Journal(journal_of(json_file), describe, None) as journal,
+        _shown() as report,
+        going_on(lambda: journal.advice(f"{journal.finished} keyframes were looked at")),
+    ):
         result = map_recording(
             opened,
             targets,

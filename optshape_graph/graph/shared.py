@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import gtsam
@@ -95,12 +96,20 @@ class SharedErrors(Value):
 
     def _rows(self, block: slice, widest: int) -> Floats:
         """(b, n, widest + 13) rows over [beta; z; 1] of some measurements, beta as their sensors have it, padded."""
-        some = self.measurements[block]
+        some, places = self.measurements[block], self._places[block]
         rows = np.zeros((len(some), max(len(one.stack) for one in some), widest + 13))
-        for row, one, s in zip(rows, some, self.sensor[block].tolist(), strict=True):
-            place = [self.errors[s].index(error) for error in one.shared]
+        for row, one, place in zip(rows, some, places, strict=True):
             row[: len(one.stack), [*place, *range(widest, widest + 13)]] = one.stack
         return rows
+
+    @cached_property
+    def _places(self) -> list[list[int]]:
+        """Of each measurement, the entries of its sensor's variable that its errors are."""
+        numbers = [{error: k for k, error in enumerate(errors)} for errors in self.errors]
+        return [
+            [numbers[s][error] for error in one.shared]
+            for one, s in zip(self.measurements, self.sensor.tolist(), strict=True)
+        ]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

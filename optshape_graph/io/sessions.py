@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from optshape_graph._arrays import Value
 from optshape_graph.camera import CameraIntrinsics
-from optshape_graph.errors import InputError
+from optshape_graph.errors import InputError, expect
 from optshape_graph.io.builtin import builtin_names
 from optshape_graph.io.cameras import load_camera
 from optshape_graph.io.documents import Node, read_document
@@ -88,11 +88,6 @@ class Session(Value):
     views: tuple[View, ...]
     mocap: Mocap | None = None
 
-    def files(self) -> list[Path]:
-        """Return the files of the views."""
-        named = [(view.scan, view.image, view.target_points, view.corners) for view in self.views]
-        return [path for paths in named for path in paths if path is not None]
-
 
 def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
     """Read a session and what it names: sensors, targets, intrinsics, markers. Scans and images stay files.
@@ -110,6 +105,7 @@ def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
         InputError: not readable; a missing, unknown or wrong key; a file that is missing or wrong; a LiDAR, camera,
             target, vertex, marker or marker frame that is not there. The message names file, line and key.
     """
+    expect("path", path, str, Path)
     path = Path(path)
     root = read_document(path, "session", anywhere=allow_outside)
     fields = root.entries()

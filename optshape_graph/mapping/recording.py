@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from optshape_graph._arrays import Floats
-from optshape_graph.errors import InputError, MissingExtraError, UnobservableError
+from optshape_graph.errors import InputError, MissingExtraError, UnobservableError, expect
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.recordings import ClockOffset, Recording, Skipped, Stamped, Stream
 from optshape_graph.io.recordings.topics import Mounting
@@ -152,7 +152,10 @@ def map_recording(
     """
     if as_built_sigma is not None and (lag is not None or not batch):
         raise InputError("as-built vertices need the batch solution, so no lag, and a batch")
+    expect("recording", recording, str, Path, Recording, Session)
     wanted = [targets] if isinstance(targets, Target) else list(targets)
+    for target in wanted:
+        expect("targets", target, Target)
     source = open_source(recording, wanted, sensor, scans, odometry, mounting, extrinsics)
     offset = _offset(source, clock_offset)
     track, unknown = _track(source, noise, offset)

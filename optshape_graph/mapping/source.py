@@ -56,7 +56,7 @@ class Source:
         lidars: the first one's frame is the robot's.
         expected: number of scans that the source says there are, or None.
         targets: to look for.
-        poses: T_odometry_body over time; None: there is no odometry.
+        poses: T_odometry_body (N, 4, 4) over time; None: there is no odometry.
         T_body_lidar: (4, 4) of the first LiDAR on the body that the poses are of; None: not known.
         mounting: the same as the recording has it; None: it was given, or there is no odometry.
         warnings: what was taken for granted, in words.

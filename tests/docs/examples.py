@@ -62,7 +62,7 @@ def _drive() -> tuple[list[tuple[float, optshape_graph.Scan]], Trajectory]:
         (load_target("triangle"), pose_from_rpy([7.0, -3.5, 0.1], [0.0, 0.0, -0.5])),
     ]
     scene = room(targets)
-    at = lambda t: pose_from_rpy([2.0 * t, 0.0, 0.0], [0.0, 0.0, 0.1 * t])  # noqa: E731
+    at = lambda t: pose_from_rpy([2.0 * t, 0.0, 0.0], [0.0, 0.0, 0.1 * t])  # noqa: E731 - one line of a page
     scans = [
         (stamp, simulate(scene, sensor, at(stamp), noise=NoiseModel.of(sensor), rng=k).scan)
         for k, stamp in enumerate(0.4 * np.arange(4))

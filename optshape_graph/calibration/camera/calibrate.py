@@ -29,9 +29,10 @@ from optshape_graph.calibration.camera.session import read_views
 from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.camera.start import Start, find_start
 from optshape_graph.calibration.images.image_points import turn_about
-from optshape_graph.errors import EstimationError, InputError, UnobservableError
+from optshape_graph.errors import EstimationError, InputError, UnobservableError, expect
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Session, load_session
+from optshape_graph.runs.kept import Kept
 
 FOLDS = 5
 
@@ -49,6 +50,7 @@ def calibrate_camera(
     refine_intrinsics: bool | None = None,
     range_bias_sigma: float = Unknowns.range_bias_sigma,
     progress: Progress | None = None,
+    kept: Kept | None = None,
 ) -> CameraCalibration:
     """Calibrate T_camera_lidar of a session's LiDARs and cameras, and say how far to trust it.
 
@@ -59,6 +61,8 @@ def calibrate_camera(
             images contradict.
         range_bias_sigma: prior standard deviation of a LiDAR's range bias, metres; 0: it has none.
         progress: called with how many images, scans and solutions are done, and how many there are.
+        kept: what a run that was stopped found in scans and images, and this one finds (`runs.kept.keeping`); None: it
+            is not kept.
 
     Raises:
         InputError: a session that can't be read or used as it is: see `check_session`; or a lens that fits none of the
@@ -66,12 +70,13 @@ def calibrate_camera(
         EstimationError: no target was found, or the views contradict each other; the message has the reasons.
         UnobservableError: the views leave directions of the extrinsic open, which it names.
     """
+    expect("session", session, str, Path, Session)
     loaded = session if isinstance(session, Session) else load_session(session)
     if refine_intrinsics:
         for camera in loaded.cameras.values():
             CompiledCamera.of(camera).check_refinable()
     passed_over = PassedOver()
-    views = read_views(loaded, use_target_points, progress, passed_over)
+    views = read_views(loaded, use_target_points, progress, passed_over, kept)
     result = calibrate(views, Unknowns(range_bias_sigma, refine_intrinsics), progress)
     return replace(result, passed_over=passed_over)
 
