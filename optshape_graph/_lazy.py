@@ -8,14 +8,15 @@ from importlib import import_module
 from typing import Any
 
 
-def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+def lazy(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return `__getattr__` and `__dir__` of a package.
 
     Args:
         package: its name.
-        homes: each public name, and the module below the package that it comes from.
+        modules: each module below the package, and the names that come from it, apart by spaces.
     """
     face = vars(sys.modules[package])
+    homes = {name: module for module, names in modules.items() for name in names.split()}
 
     def attribute(name: str) -> Any:
         if name not in homes:

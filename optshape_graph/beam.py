@@ -23,6 +23,7 @@ class Beam:
     Attributes:
         divergence: full angle, rad.
         aperture: width where it leaves the sensor, metres.
+        blooming: standard deviation of the azimuth by which a scan's rings reach further on each side, rad.
         offset: mean of the offset that all edge points of a scan share, in beam widths.
         common: its standard deviation.
     """
@@ -31,6 +32,7 @@ class Beam:
     aperture: float
     offset: float = SensorModel.edge_offset
     common: float = SensorModel.edge_offset_sd
+    blooming: float = 0.0
 
     OWN: ClassVar[float] = 1 / np.sqrt(12)
     """Standard deviation of each edge point's own offset, in beam widths."""
@@ -40,7 +42,9 @@ class Beam:
         """Take the beam of a sensor; an unknown one has a beam of 3 mrad, a centimetre wide at first."""
         if sensor is None:
             return cls(3e-3, 0.01)
-        return cls(sensor.beam_divergence, sensor.beam_aperture, sensor.edge_offset, sensor.edge_offset_sd)
+        return cls(
+            sensor.beam_divergence, sensor.beam_aperture, sensor.edge_offset, sensor.edge_offset_sd, sensor.blooming
+        )
 
     @property
     def ideal(self) -> bool:
@@ -50,6 +54,14 @@ class Beam:
     def width(self, ranges: Floats) -> Floats:
         """Width of the beam at ranges (...), metres; an ideal beam's still is a tenth of a millimetre."""
         return np.maximum(self.aperture + self.divergence * ranges, 1e-4)
+
+    def offset_of_rays(self, ranges: Floats) -> float:
+        """Standard deviation of an offset across all edges that stands for blooming too, in beam widths.
+
+        Args:
+            ranges: (N,) metres.
+        """
+        return float(np.hypot(self.common, self.blooming / np.mean(self.width(ranges) / ranges)))
 
 
 FINEST_STEP = 0.2

@@ -29,6 +29,11 @@ class SensorModel(Value):
             simulator has, 0.
         azimuth_error: standard deviation over rings of how far a ring's azimuth is off, rad. None: a twentieth of a
             degree, or 0, likewise.
+        brightness_bias: standard deviation of the range bias that all returns of a surface in a scan share, metres:
+            dark ones come late, bright ones early.
+        blooming: standard deviation of the azimuth by which a target seems to reach further on each side than its
+            share of the beam says, rad: bright ones do.
+        odd_ends: share of ring ends that are not what they seem: the last return a stray, or a few lost beyond it.
         beam_divergence: full angle of the beam, rad.
         beam_aperture: width of the beam where it leaves the sensor, metres.
         beam_crossing: where the beams cross, horizontal distance from the axis, metres; drivers report heights as if
@@ -65,6 +70,9 @@ class SensorModel(Value):
     ring_bias: float = 0.01
     elevation_error: float | None = None
     azimuth_error: float | None = None
+    brightness_bias: float = 0.0
+    blooming: float = 0.0
+    odd_ends: float = 0.01
     beam_divergence: float = 0.0
     beam_aperture: float = 0.0
     beam_crossing: float = 0.0
@@ -106,6 +114,8 @@ class SensorModel(Value):
             "range_noise",
             "ring_bias",
             "elevation_error",
+            "brightness_bias",
+            "blooming",
             "azimuth_error",
             "edge_offset_sd",
             "common_range_sd",
@@ -121,6 +131,8 @@ class SensorModel(Value):
             value = getattr(self, field)
             if value is not None and not (np.isfinite(value) and value >= 0):
                 raise InputError(f"sensor '{self.name}': {field} {value} is not a number >= 0")
+        if not 0 < self.odd_ends < 1:
+            raise InputError(f"sensor '{self.name}': odd_ends {self.odd_ends} is not a share above 0 and below 1")
         step = self.azimuth_step
         if step is not None and not (np.isfinite(step) and 0 < step < np.pi):
             raise InputError(f"sensor '{self.name}': azimuth step {step} rad is not within (0, pi)")

@@ -122,9 +122,9 @@ def test_lazy_faces_show_what_they_name(package: str) -> None:
     tree = ast.parse(Path(face.__file__).read_text())
     [typed] = [node for node in tree.body if isinstance(node, ast.If)]
     seen = {alias.name: node.module for node in typed.body if isinstance(node, ast.ImportFrom) for alias in node.names}
-    assert seen == {one: f"{name}.{home}" for one, home in face._HOME.items()}
-    assert set(face.__all__) <= set(dir(face))
-    assert set(face._HOME) <= set(face.__all__)
+    homes = {one: f"{name}.{home}" for home, names in face._HOME.items() for one in names.split()}
+    assert seen == homes
+    assert set(homes) <= set(face.__all__) <= set(dir(face))
     for one in face.__all__:
         assert getattr(face, one) is not None
     with pytest.raises(AttributeError, match="no attribute 'estimate_poses'"):

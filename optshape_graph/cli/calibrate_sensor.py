@@ -72,7 +72,6 @@ def command(
         inputs.append(path)
         if path.suffix.lower() in (".yaml", ".yml", ".json"):
             session = load_session(path, allow_outside=allow_outside)
-            inputs += session.files()
             sources.append(session)
         else:
             sources.append(path)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from optshape_graph.cli.console import say
-from optshape_graph.cli.options import ANGLE, DISTANCE, FILE, Number, force_option, seed_option
+from optshape_graph.cli.options import ANGLE, DISTANCE, FILE, Number, example, force_option, seed_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -40,7 +40,9 @@ def noise_options(function: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
-@click.command()
+@click.command(
+    epilog=example("optshape simulate --target paper --sensor vlp32c --range 8 --rpy 20 30 30 --noise 1 -o scan.pcd")
+)
 @click.option("--target", "target_name", default="paper", show_default=True, help="Built-in name, NAME@AREA, or file.")
 @click.option("--sensor", "sensor_name", default="vlp32c", show_default=True, help="Built-in name or file.")
 @click.option("--range", "distance", type=DISTANCE, metavar="METRES", help="Distance of the target, along x.")
@@ -92,8 +94,6 @@ def command(
     With --range: the returns on one target that faces the sensor, turned by --rpy, its vertex mean at the distance
     along x. With --scene: the returns of everything in the scene. The truth has the output's name, ending in .json:
     pose and vertices of every target in the LiDAR frame. A file that is there is written over only with --force.
-
-    Example: optshape simulate --target paper --sensor vlp32c --range 8 --rpy 20 30 30 --noise 1 -o scan.pcd
     """
     import numpy as np
 

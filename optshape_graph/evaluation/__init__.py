@@ -16,22 +16,12 @@ if TYPE_CHECKING:
     from optshape_graph.evaluation.tables import Table, beside_published, by_group, summarise, write_csv, write_parquet
 
 _HOME = {
-    "NormalisedError": "metrics",
-    "PoseError": "metrics",
-    "SimulationSweep": "simulation",
-    "Table": "tables",
-    "beside_published": "tables",
-    "by_group": "tables",
     "consistency": "consistency",
-    "evaluate_mocap": "mocap",
-    "find_sessions": "mocap",
-    "normalised_error": "metrics",
-    "pose_error": "metrics",
-    "run_simulation": "simulation",
-    "run_tasks": "harness",
-    "summarise": "tables",
-    "write_csv": "tables",
-    "write_parquet": "tables",
+    "harness": "run_tasks",
+    "metrics": "NormalisedError PoseError normalised_error pose_error",
+    "mocap": "evaluate_mocap find_sessions",
+    "simulation": "SimulationSweep run_simulation",
+    "tables": "Table beside_published by_group summarise write_csv write_parquet",
 }
 
 __all__ = [

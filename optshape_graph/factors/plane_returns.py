@@ -10,7 +10,14 @@ import numpy as np
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.edges import leftward, upward
 from optshape_graph.factors.measurement import template_rows
-from optshape_graph.factors.static import COMMON_RANGE, RANGE_BIAS, BiasedMeasurement, SharedError, angle_errors
+from optshape_graph.factors.static import (
+    BRIGHTNESS,
+    COMMON_RANGE,
+    RANGE_BIAS,
+    BiasedMeasurement,
+    SharedError,
+    angle_errors,
+)
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import FLATNESS
@@ -61,6 +68,17 @@ class PlaneReturns(Value):
             columns = np.column_stack([columns, sensor.common_range_sd * cosine / self.sigma])
             errors = (*errors, SharedError(COMMON_RANGE))
         return replace(self, errors=(*self.errors, *errors), bias=np.hstack([self.bias, columns]))
+
+    def with_brightness(self, normal: Floats, sigma: float) -> PlaneReturns:
+        """Return them with a range bias that all share, of a standard deviation in metres.
+
+        Args:
+            normal: (3,) unit normal of the plane, LiDAR frame.
+            sigma: metres.
+        """
+        moved = sigma * np.abs(self.points @ normal) / np.linalg.norm(self.points, axis=1) / self.sigma
+        errors = (*self.errors, SharedError(BRIGHTNESS))
+        return replace(self, errors=errors, bias=np.column_stack([self.bias, moved]))
 
     def with_bands(self, points: Floats, counts: Sequence[int]) -> PlaneReturns:
         """Return them with range biases at several scales.

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.factors._rows import checked, marginalised, root, triangular
+from optshape_graph.factors._rows import checked, marginalised, root, triangular, triangular_by_parts
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
 from optshape_graph.sensor import SensorModel, angle_sds
 from optshape_graph.se3 import adjoint, inverse, vec_derivative
@@ -68,6 +68,9 @@ OF_RINGS = (RANGE_BIAS, ELEVATION, AZIMUTH)
 COMMON_RANGE, COMMON_ELEVATION, COMMON_AZIMUTH = "common range bias", "common elevation", "common azimuth"
 OF_SENSOR = (COMMON_RANGE, COMMON_ELEVATION, COMMON_AZIMUTH, EDGE_OFFSET)
 """Kinds of errors that all rings of a sensor have in common, in all scans of it."""
+
+BRIGHTNESS, BLOOMING = "range bias by brightness", "blooming"
+"""Kinds of errors that a surface's brightness makes: of all its ranges; and of how much further its rings reach."""
 
 SURFACE = ("surface turned about y", "surface turned about z", "surface shifted along x")
 STRAIN = ("aspect", "shear")
@@ -160,7 +163,9 @@ class BiasedMeasurement(Value):
         columns = checked("bias columns", B, (len(rows), -1))
         stack = np.column_stack([columns, rows, checked("constants", r, (len(rows),))])
         errors = [SharedError(RANGE_BIAS, ring=i) for i in range(columns.shape[1])] if shared is None else shared
-        return cls(triangular(stack), len(rows), np.asarray(T_target_lidar, float), tuple(errors))
+        return cls(
+            triangular_by_parts(stack, columns.shape[1]), len(rows), np.asarray(T_target_lidar, float), tuple(errors)
+        )
 
     def __add__(self, other: BiasedMeasurement) -> BiasedMeasurement:
         """Return the measurement of both scans: the same beta, everything else independent.
@@ -179,7 +184,7 @@ class BiasedMeasurement(Value):
                     f"against {_words(theirs - mine)}: marginalise them in each scan first, with `without`"
                 )
         errors = tuple(dict.fromkeys(self.shared + other.shared))
-        stack = triangular(np.vstack([self._columns_for(errors), other._columns_for(errors)]))
+        stack = triangular_by_parts(np.vstack([self._columns_for(errors), other._columns_for(errors)]), len(errors))
         return BiasedMeasurement(stack, self.n_rows + other.n_rows, self.T_target_lidar, errors)
 
     def _columns_for(self, errors: tuple[SharedError, ...]) -> Floats:
@@ -199,10 +204,18 @@ class BiasedMeasurement(Value):
         kept = [i for i, error in enumerate(self.shared) if error not in errors]
         g, k = len(gone), len(self.shared)
         ordered = self.stack[:, [*gone, *kept, *range(k, k + 13)]]
-        R = triangular(np.vstack([np.eye(g, k + 13), ordered]))
+        R = triangular_by_parts(np.vstack([np.eye(g, k + 13), ordered]), k)
         return BiasedMeasurement(R[g:, g:], self.n_rows, self.T_target_lidar, tuple(self.shared[i] for i in kept))
 
-    def displaced(self, errors: Sequence[SharedError], effect: ArrayLike, T_target_lidar: ArrayLike) -> BiasedMeasurement:
+    def rescaled(self, kind: str, factor: float) -> BiasedMeasurement:
+        """Return the measurement with the unit of the shared errors of a kind so many times as large."""
+        stack = self.stack.copy()
+        stack[:, [i for i, error in enumerate(self.shared) if error.kind == kind]] *= factor
+        return BiasedMeasurement(stack, self.n_rows, self.T_target_lidar, self.shared)
+
+    def displaced(
+        self, errors: Sequence[SharedError], effect: ArrayLike, T_target_lidar: ArrayLike
+    ) -> BiasedMeasurement:
         """Return the measurement where further errors displace the pose, as a whole, in all scans alike.
 
         The minimum stays where it is; the covariance of the pose grows by effect effect^T, however many scans are fused.
@@ -256,7 +269,7 @@ class BiasedMeasurement(Value):
         # In units of sigma the prior's rows are the identity, and sigma = 0 needs no special case.
         unit = self.stack.copy()
         unit[:, :k] *= sigmas
-        R = triangular(np.vstack([np.eye(k, k + 13), unit]))
+        R = triangular_by_parts(np.vstack([np.eye(k, k + 13), unit]), k)
         return TemplateMeasurement.from_stack(R[k:, k:], self.n_rows, self.T_target_lidar)
 
     def of_one_scan(self) -> TemplateMeasurement:

@@ -18,25 +18,14 @@ if TYPE_CHECKING:
     from optshape_graph.io.targets import load_target, save_target
 
 _HOME = {
-    "Columns": "clouds",
-    "Markers": "markers",
-    "Mocap": "sessions",
-    "Session": "sessions",
-    "View": "sessions",
-    "demo_folder": "builtin",
-    "load_camera": "cameras",
-    "load_schema": "schemas",
-    "load_sensor": "sensors",
-    "load_session": "sessions",
-    "load_target": "targets",
-    "make_scan": "clouds",
-    "read_markers": "markers",
-    "read_scan": "clouds",
-    "save_camera": "cameras",
-    "save_sensor": "sensors",
-    "save_target": "targets",
-    "schema_names": "schemas",
-    "write_scan": "clouds",
+    "builtin": "demo_folder",
+    "cameras": "load_camera save_camera",
+    "clouds": "Columns make_scan read_scan write_scan",
+    "markers": "Markers read_markers",
+    "schemas": "load_schema schema_names",
+    "sensors": "load_sensor save_sensor",
+    "sessions": "Mocap Session View load_session",
+    "targets": "load_target save_target",
 }
 
 __all__ = [

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 UNUSABLE = "unusable file"
 """Why a file is skipped: it cannot be read, or is not what it is given as."""
 
 
+@dataclass
 class PassedOver:
     """Counts of what was not used.
 
@@ -19,13 +20,12 @@ class PassedOver:
         fields: by what they are of, and by their name, the number of items that had a field which is not used.
     """
 
-    def __init__(
-        self,
-        skipped: Mapping[str, Mapping[str, int]] | None = None,
-        fields: Mapping[str, Mapping[str, int]] | None = None,
-    ) -> None:
-        self.skipped = {source: Counter(reasons) for source, reasons in (skipped or {}).items()}
-        self.fields = {source: Counter(names) for source, names in (fields or {}).items()}
+    skipped: dict[str, Counter[str]] = field(default_factory=dict)
+    fields: dict[str, Counter[str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.skipped = {source: Counter(reasons) for source, reasons in self.skipped.items()}
+        self.fields = {source: Counter(names) for source, names in self.fields.items()}
 
     def skip(self, source: str, reason: str, count: int = 1) -> None:
         """Count items that could not be used; the reason is a few words without numbers."""

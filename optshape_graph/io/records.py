@@ -7,6 +7,7 @@ what the file says: a file cannot choose what is made of it.
 from __future__ import annotations
 
 import types
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
@@ -95,6 +96,9 @@ def from_record(kind: Any, data: Any, where: str) -> Any:
     if origin is tuple:
         items = _items(data, len(arguments), where)
         return tuple(from_record(one, item, where) for one, item in zip(arguments, items, strict=True))
+    if origin is Counter:
+        pairs = [_items(pair, 2, where) for pair in _items(data, -1, where)]
+        return Counter({from_record(arguments[0], k, where): from_record(int, v, where) for k, v in pairs})
     if origin is not None and issubclass(origin, Mapping):
         pairs = [_items(pair, 2, where) for pair in _items(data, -1, where)]
         return {from_record(arguments[0], k, where): from_record(arguments[1], v, f"{where}.{k}") for k, v in pairs}

@@ -20,6 +20,7 @@ _METRES = {
     "range_noise_m": "range_noise",
     "ring_bias_m": "ring_bias",
     "common_range_bias_m_sd": "common_range_sd",
+    "brightness_bias_m": "brightness_bias",
     "beam_aperture_m": "beam_aperture",
     "beam_crossing_m": "beam_crossing",
     "range_resolution_m": "range_resolution",
@@ -35,6 +36,7 @@ _DEGREES = {
     "azimuth_error_deg": "azimuth_error",
     "common_elevation_deg_sd": "common_elevation_sd",
     "common_azimuth_deg_sd": "common_azimuth_sd",
+    "blooming_deg": "blooming",
 }
 """Keys of angles, likewise."""
 
@@ -53,13 +55,20 @@ _BY_RING = {"range_bias_m": "range_bias", "range_bias_m_sd": "range_bias_sd"}
 _FIRING = {"firing_times_us": "firing_phases", "firing_times_us_sd": "firing_sd"}
 """Keys of lists of times, which the attributes have as shares of the cycle of firings."""
 
-_SHARES = {"edge_offset": "edge_offset", "edge_offset_sd": "edge_offset_sd"}
+_SHARES = {"edge_offset": "edge_offset", "edge_offset_sd": "edge_offset_sd", "odd_ends": "odd_ends"}
 """Keys of numbers without a unit, likewise."""
 
 ALIKE = np.radians(1.5)
 """Up to this much the beams of a unit differ from its model's data sheet, rad."""
 
-ASSUMED = {"range_noise": 0.01, "ring_bias": 0.01, "beam_divergence": np.radians(0.17), "beam_aperture": 0.01}
+ASSUMED = {
+    "range_noise": 0.01,
+    "ring_bias": 0.01,
+    "brightness_bias": 0.005,
+    "blooming": np.radians(0.04),
+    "beam_divergence": np.radians(0.17),
+    "beam_aperture": 0.01,
+}
 """What is assumed of a sensor of which nothing but its beams is known, metres and rad."""
 
 

@@ -2,43 +2,55 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from optshape_graph._arrays import Value
+import numpy as np
+
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.camera import CameraIntrinsics
-from optshape_graph.errors import InputError
+from optshape_graph.errors import InputError, expect
 from optshape_graph.io.builtin import builtin_names
 from optshape_graph.io.cameras import load_camera
 from optshape_graph.io.documents import Node, read_document
 from optshape_graph.io.markers import Markers, read_markers, states_its_units
 from optshape_graph.io.sensors import load_sensor
 from optshape_graph.io.targets import load_target
+from optshape_graph.se3 import as_transform
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 T = TypeVar("T")
 
+MOCAP = "mocap"
+"""Name of the motion capture's own frame, as a sensor."""
+
+SMALLEST_BODY_M = 0.01
+"""How far the markers of a body must spread about a line, metres."""
+
 
 @dataclass(frozen=True)
 class View:
-    """One scan of a session, and what was recorded with it.
+    """One scan of a session and what was recorded with it; or an image, or a frame of markers, without one.
 
     Attributes:
-        scan: the cloud's file.
-        lidar: which of the session's LiDARs made it.
+        scan: the cloud's file, or None.
+        lidar: which of the session's LiDARs made it, "" without a scan.
         targets: which of the session's targets may be in it.
         camera: which of the session's cameras made `image`, or None.
         image: the image's file, or None.
         target_points: a file with the target's returns, cropped by hand, or None.
-        stamp: seconds, on the session's clock, or None.
+        stamp: seconds, on the session's clock, or None; of a view that is `moving`, on its sensor's.
         mocap_frame: the frame of the markers, or None.
         corners: a CSV file with rough pixels of the vertices of an unpatterned target in `image`, or None.
+        moving: whether the target, or the platform, moves while the view is taken.
+        where: file, line and key of the view, as messages begin.
     """
 
-    scan: Path
+    scan: Path | None
     lidar: str
     targets: tuple[str, ...]
     camera: str | None = None
@@ -47,6 +59,19 @@ class View:
     stamp: float | None = None
     mocap_frame: int | None = None
     corners: Path | None = None
+    moving: bool = False
+    where: str = field(default="", compare=False)
+
+    @property
+    def cloud(self) -> Path:
+        """The cloud's file.
+
+        Raises:
+            InputError: the view has none.
+        """
+        if self.scan is None:
+            raise InputError(f"{self.where}: the view has no scan; only `optshape calibrate rig` takes such a view")
+        return self.scan
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,10 +83,27 @@ class Mocap(Value):
         vertices: of a marker, its target and the index of the vertex that it is near. Filled from the session's map;
             or, without a map, where the session has one target and its markers are called corner0, corner1, ...; else
             empty: markers are to be assigned by shape.
+        bodies: rigid bodies on the platform: of each the places (3,) of its markers in its frame, metres, by name.
     """
 
     markers: Markers
     vertices: Mapping[str, tuple[str, int]]
+    bodies: Mapping[str, Mapping[str, Floats]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class About(Value):
+    """About where a sensor is in another's frame.
+
+    Attributes:
+        a: name of the one.
+        b: name of the other.
+        T_a_b: (4, 4).
+    """
+
+    a: str
+    b: str
+    T_a_b: Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,6 +120,9 @@ class Session(Value):
         targets: targets by name.
         views: in the file's order.
         mocap: motion capture, if there is any.
+        static: names of the targets that stay where they are, in the world, in all views.
+        platform_moves: whether what carries the sensors moves from view to view.
+        initial: about where sensors are, as far as the file says.
     """
 
     name: str
@@ -87,11 +132,9 @@ class Session(Value):
     targets: Mapping[str, Target]
     views: tuple[View, ...]
     mocap: Mocap | None = None
-
-    def files(self) -> list[Path]:
-        """Return the files of the views."""
-        named = [(view.scan, view.image, view.target_points, view.corners) for view in self.views]
-        return [path for paths in named for path in paths if path is not None]
+    static: frozenset[str] = frozenset()
+    platform_moves: bool = False
+    initial: tuple[About, ...] = ()
 
 
 def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
@@ -110,6 +153,7 @@ def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
         InputError: not readable; a missing, unknown or wrong key; a file that is missing or wrong; a LiDAR, camera,
             target, vertex, marker or marker frame that is not there. The message names file, line and key.
     """
+    expect("path", path, str, Path)
     path = Path(path)
     root = read_document(path, "session", anywhere=allow_outside)
     fields = root.entries()
@@ -117,10 +161,25 @@ def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
     targets = _named(fields, "target", "targets", _target, lambda target: target.name)
     cameras = _named(fields, "camera", "cameras", _camera, lambda camera: camera.name)
     mocap = _mocap(fields["mocap"], targets) if "mocap" in fields else None
+    static = frozenset(
+        name
+        for name, node in (fields["targets"].entries().items() if "targets" in fields else ())
+        if isinstance(node.value, dict) and node.value.get("static", False)
+    )
     listed, scan_key = (fields["views"], "scan") if "views" in fields else (fields["scans"], "file")
     views = tuple(_view(node, scan_key, lidars, targets, cameras, mocap) for node in listed.items())
     name = fields["name"].text() if "name" in fields else path.stem
-    return Session(name, path, lidars, cameras, targets, views, mocap)
+    moves = "platform" in fields and fields["platform"].text() == "moving"
+    sensors = (*lidars, *cameras, *sensors_of(mocap))
+    if doubled := [name for name, times in Counter(sensors).items() if times > 1]:
+        root.fail(f"two sensors called '{doubled[0]}'; expected a name for each LiDAR, camera and body")
+    initial = tuple(_about(node, sensors) for node in fields["initial"].items()) if "initial" in fields else ()
+    return Session(name, path, lidars, cameras, targets, views, mocap, static, moves, initial)
+
+
+def sensors_of(mocap: Mocap | None) -> tuple[str, ...]:
+    """Return the names by which motion capture is a sensor: its bodies; without, "mocap", its own frame."""
+    return () if mocap is None else tuple(mocap.bodies) or (MOCAP,)
 
 
 def _named(
@@ -150,6 +209,8 @@ def _sensor(node: Node) -> SensorModel:
 
 
 def _target(node: Node) -> Target:
+    if isinstance(node.value, dict):  # of the general form
+        node = node.at("target")
     return _loaded(node, load_target, builtin_names("target"))
 
 
@@ -167,9 +228,11 @@ def _view(
     mocap: Mocap | None,
 ) -> View:
     fields = node.entries()
-    if "lidar" not in fields and len(lidars) > 1:
+    if scan_key in fields and not lidars:
+        fields[scan_key].fail("a scan, but the session names no LiDAR")
+    if scan_key in fields and "lidar" not in fields and len(lidars) > 1:
         node.fail(f"the key 'lidar' is missing; the session has several: {', '.join(lidars)}")
-    lidar = _reference(fields["lidar"], lidars, "LiDAR") if "lidar" in fields else next(iter(lidars))
+    lidar = _reference(fields["lidar"], lidars, "LiDAR") if "lidar" in fields else next(iter(lidars), "")
     if "image" in fields and not cameras:
         fields["image"].fail("an image, but the session names no camera")
     if "image" in fields and "camera" not in fields and len(cameras) > 1:
@@ -181,8 +244,8 @@ def _view(
         else tuple(targets)
     )
     return View(
-        scan=fields[scan_key].file(),
-        lidar=lidar,
+        scan=fields[scan_key].file() if scan_key in fields else None,
+        lidar=lidar if scan_key in fields else "",
         targets=seen,
         camera=camera if "image" in fields else None,
         image=fields["image"].file() if "image" in fields else None,
@@ -190,7 +253,20 @@ def _view(
         stamp=fields["stamp"].number() if "stamp" in fields else None,
         mocap_frame=_frame(fields["mocap_frame"], mocap) if "mocap_frame" in fields else None,
         corners=fields["corners"].file() if "corners" in fields else None,
+        moving="moving" in fields and bool(fields["moving"].value),
+        where=node.where,
     )
+
+
+def _about(node: Node, sensors: Sequence[str]) -> About:
+    fields = node.entries()
+    a, b = (_reference(fields[key], sensors, "sensor") for key in ("a", "b"))
+    if a == b:
+        fields["b"].fail(f"'{b}' again; expected another sensor")
+    try:
+        return About(a, b, as_transform(fields["T_a_b"].numbers(4, 4), "transform"))
+    except InputError as error:
+        fields["T_a_b"].fail(str(error))
 
 
 def _frame(node: Node, mocap: Mocap | None) -> int:
@@ -209,19 +285,37 @@ def _mocap(node: Node, targets: Mapping[str, Target]) -> Mocap:
     if "units" not in fields and not states_its_units(file):
         node.fail("the key 'units' is missing")
     markers = read_markers(file, fields["units"].text() if "units" in fields else "m")
+    bodies = _bodies(fields["bodies"], markers) if "bodies" in fields else {}
     if "markers" not in fields:
-        return Mocap(markers, _corners(markers, targets))
+        return Mocap(markers, _corners(markers, targets), bodies)
     vertices: dict[str, tuple[str, int]] = {}
     for marker, place in fields["markers"].entries().items():
-        if marker not in markers.names:
-            place.fail(f"no marker '{marker}'; the file has: {', '.join(markers.names)}")
+        _known(place, marker, markers)
         target, vertex = _reference(place.at(0), targets, "target"), place.at(1).integer()
         if vertex >= len(targets[target]):
             place.at(1).expected(f"a vertex of '{target}', 0 to {len(targets[target]) - 1}")
         if (target, vertex) in vertices.values():
             place.fail(f"a second marker at vertex {vertex} of '{target}'")
         vertices[marker] = (target, vertex)
-    return Mocap(markers, vertices)
+    return Mocap(markers, vertices, bodies)
+
+
+def _bodies(node: Node, markers: Markers) -> dict[str, dict[str, Floats]]:
+    bodies: dict[str, dict[str, Floats]] = {}
+    for name, body in node.entries().items():
+        places = {marker: place.numbers(3) for marker, place in body.entries().items()}
+        for marker, place in body.entries().items():
+            _known(place, marker, markers)
+        points = np.array(list(places.values()))
+        if np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] < SMALLEST_BODY_M:
+            body.fail("its markers lie on one line; expected three at least that span a triangle")
+        bodies[name] = places
+    return bodies
+
+
+def _known(node: Node, marker: str, markers: Markers) -> None:
+    if marker not in markers.names:
+        node.fail(f"no marker '{marker}'; the file has: {', '.join(markers.names)}")
 
 
 def _corners(markers: Markers, targets: Mapping[str, Target]) -> dict[str, tuple[str, int]]:

@@ -186,8 +186,12 @@ def _min_properties(value: Any, least: int, _schema: Schema, _root: Schema, key:
 
 
 def _any_of(value: Any, forms: list[Schema], _schema: Schema, root: Schema, key: Key) -> Iterator[Problem]:
-    """Of forms of different types the one of the value's type says what is wrong."""
+    """Of forms of different types the one of the value's type says what is wrong; of required keys, any will do."""
     if any(_fits(value, form, root) for form in forms):
+        return
+    if all("required" in form and "type" not in form for form in forms):
+        names = " or ".join(repr(form["required"][0]) for form in forms)
+        yield key, f"expected {names}, found only: {', '.join(value) or 'nothing'}"
         return
     for form in forms:
         if "type" in form and _fits(value, {"type": form["type"]}, root):

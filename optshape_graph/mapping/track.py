@@ -17,7 +17,7 @@ from optshape_graph.factors import (
     TemplateMeasurement,
     summarise,
 )
-from optshape_graph.factors.static import OF_RINGS, OF_SENSOR
+from optshape_graph.factors.static import OF_RINGS, OF_SENSOR, RANGE_BIAS
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
 from optshape_graph.pose import PoseEstimate, PoseOptions
@@ -278,14 +278,16 @@ class MappingProblem(Value):
 def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
     """What the estimate's returns say before errors that the LiDAR keeps are marginalised.
 
-    Others are of one scan: where the target ends between two rings, and what isn't known of the board itself.
+    Others are of one scan: where the target ends between two rings, and what isn't known of the board itself. Scans
+    share biases of ranges in metres: their unit is the sensor file's deviation, however large a scan shows them.
     """
     if estimate.shared is None:
         return None
-    return estimate.shared.without(
+    kept = estimate.shared.without(
         [
             error
             for error in estimate.shared.shared
             if error.kind not in KEPT or (error.ring is None and error.kind not in OF_SENSOR)
         ]
     )
+    return kept.rescaled(RANGE_BIAS, 1.0 / estimate.fit.bias_factor)

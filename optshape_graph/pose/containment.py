@@ -22,7 +22,6 @@ from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import refine, template_rows
 from optshape_graph.factors.static import BiasedMeasurement
-from optshape_graph.gaussian import ndtr
 from optshape_graph.plane import ReturnsPlane
 from optshape_graph.pose.evidence import Evidence, Finding
 from optshape_graph.se3 import inverse
@@ -140,8 +139,10 @@ class Slack:
     def of(cls, evidence: Evidence) -> Slack:
         """Take the sensor's beam at the returns' median range."""
         beam, options = evidence.problem.beam, evidence.problem.options
-        width = float(np.median(beam.width(np.linalg.norm(evidence.scan.points, axis=1))))
-        return cls(float(np.hypot(options.flatness, beam.OWN * width)), beam.common * width, options.strays)
+        distance = np.median(np.linalg.norm(evidence.scan.points, axis=1))
+        width = float(beam.width(distance))
+        offset = float(np.hypot(beam.common * width, beam.blooming * distance))
+        return cls(float(np.hypot(options.flatness, beam.OWN * width)), offset, options.strays)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -303,6 +304,8 @@ def _moments(
     outer: Floats, slack: Slack, normals: Floats, offsets: Floats, angles: Floats, low: Floats, high: Floats
 ) -> Containment:
     """Mass, mean and covariance of the likelihood on a grid: angles (K,), and translations between low and high."""
+    from scipy.special import ndtr  # of a million numbers: its import is worth it
+
     fractions = [(np.arange(n) + 0.5) / n for n in _GRID[1:]]
     cells = np.stack(np.meshgrid(*fractions, indexing="ij"), axis=-1).reshape(-1, 2)
     t = low[:, None] + cells * (high - low)[:, None]

@@ -9,7 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.beam import Beam, outermost_return
-from optshape_graph.edges import EdgePoints, leftward, upward
+from optshape_graph.edges import UP, EdgePoints, leftward, upward
 from optshape_graph.factors._rows import triangular
 from optshape_graph.gaussian import chi_square_tail, f_tail
 from optshape_graph.pose.options import PoseOptions
@@ -56,6 +56,11 @@ class Problem(Value):
         edges = self.edges
         noisy = np.unique(edges.ring[edges.shift > 0])
         return np.asarray((edges.ring[:, None] == noisy) * (edges.side * edges.shift)[:, None])
+
+    @cached_property
+    def blooming(self) -> Floats:
+        """(M, 1) outward motion, rad, of each ring end for a standard deviation of the blooming that all share."""
+        return np.where(np.abs(self.edges.side) < UP, self.beam.blooming, 0.0)[:, None]
 
     @cached_property
     def intervals(self) -> Floats:
@@ -111,7 +116,7 @@ class Problem(Value):
         )
 
     def fit(self, T_target_lidar: Floats, labels: Ints) -> EndsFit:
-        """Fit the pose in the plane and the offset to the ring ends, and two strains on top.
+        """Fit the pose in the plane, the offset and the blooming to the ring ends, and two strains on top.
 
         Each end stands for the middle of its interval, with the interval's variance beside its own: no label, no rival
         and no robust weight of the estimate itself hides a residual.
@@ -130,16 +135,17 @@ class Problem(Value):
         pose = [ny, nz, (nz * y - ny * z) / target.circumradius]
         strains = self.strains(labels, boundary, T_target_lidar)
         residual = g.residual[0] + along * edges.middle
-        rows = np.column_stack([*pose, across * self.beam.common, strains, residual]) / sd[:, None]
-        prior = np.diag([1e-6, 1e-6, 1e-6, 1.0])
+        common = [across * self.beam.common, -along * self.blooming[:, 0]]
+        rows = np.column_stack([*pose, *common, strains, residual]) / sd[:, None]
+        prior = np.diag([1e-6, 1e-6, 1e-6, 1.0, 1.0])
         weight = np.ones(len(rows))
         for _ in range(_REWEIGHTINGS):
-            A = weight[:, None] * rows[:, :4]
-            x = -np.linalg.solve(A.T @ rows[:, :4] + prior, A.T @ rows[:, 6])
-            residual = rows[:, :4] @ x + rows[:, 6]
+            A = weight[:, None] * rows[:, :5]
+            x = -np.linalg.solve(A.T @ rows[:, :5] + prior, A.T @ rows[:, 7])
+            residual = rows[:, :5] @ x + rows[:, 7]
             weight = 1.0 / np.maximum(np.abs(residual) / _HUBER, 1.0)
         strain, probability = _strain(np.sqrt(weight)[:, None] * rows)
-        return EndsFit(residual, float(x[3]), max(len(residual) - 3, 0), strain, probability)
+        return EndsFit(residual, float(x[3]), float(x[4]), max(len(residual) - 3, 0), strain, probability)
 
     def strains(self, labels: Ints, points: Floats, T_target_lidar: Floats) -> Floats:
         """(M, 2) how far two strains of the outline, of unit size at constant area, move points (M, 3) off edges."""
@@ -180,26 +186,28 @@ class EdgeGeometry(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EndsFit(Value):
-    """Ring ends against the edges, after the pose in the plane and their common offset were fitted to them robustly.
+    """Ring ends against the edges, after pose in the plane, common offset and blooming were fitted, robustly.
 
     Attributes:
         z: (M,) residuals in standard deviations, positive outside.
         offset: common offset across the edges in standard deviations of its prior, positive: returns lie further in.
-        freedom: degrees of freedom: of the pose in the plane are three, the offset has its prior.
+        blooming: how much further the rings reach, in standard deviations of its prior.
+        freedom: degrees of freedom: of the pose in the plane are three, offset and blooming have priors.
         strain: stretch of the outline at constant area that the ends ask for beside the pose, relative.
         strain_probability: of so much by chance.
     """
 
     z: Floats
     offset: float
+    blooming: float
     freedom: int
     strain: float
     strain_probability: float
 
     @property
     def chi_square(self) -> float:
-        """Sum of the squares of all residuals and of the offset."""
-        return float(self.z @ self.z) + self.offset**2
+        """Sum of the squares of all residuals, of the offset and of the blooming."""
+        return float(self.z @ self.z) + self.offset**2 + self.blooming**2
 
     @property
     def clipped_mean_square(self) -> float:
@@ -249,11 +257,11 @@ def _exit_edges(yz: Floats, outward: Floats, target: Target) -> Ints:
 
 
 def _strain(rows: Floats) -> tuple[float, float]:
-    """Size of the two strains in whitened rows (M, 7), and the F test of whether they are there."""
-    R = triangular(np.vstack([rows, np.eye(7)[3:4]]))  # the offset's prior
-    freedom = len(rows) + 1 - 6
-    if freedom < 3 or np.abs(np.diag(R)[:6]).min() < 1e-6 * np.abs(np.diag(R)[:6]).max():
+    """Size of the two strains in whitened rows (M, 8), and the F test of whether they are there."""
+    R = triangular(np.vstack([rows, np.eye(8)[3:5]]))  # the priors of offset and blooming
+    freedom = len(rows) + 2 - 7
+    if freedom < 3 or np.abs(np.diag(R)[:7]).min() < 1e-6 * np.abs(np.diag(R)[:7]).max():
         return 0.0, 1.0
-    x = np.linalg.solve(R[4:6, 4:6], R[4:6, 6])
-    F = float((R[4:6, 6] ** 2).sum()) / 2 / max(float(R[6, 6] ** 2) / freedom, 1.0)
+    x = np.linalg.solve(R[5:7, 5:7], R[5:7, 7])
+    F = float((R[5:7, 7] ** 2).sum()) / 2 / max(float(R[7, 7] ** 2) / freedom, 1.0)
     return float(np.hypot(*x)), f_tail(F, 2, freedom)

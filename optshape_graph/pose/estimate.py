@@ -7,8 +7,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.pose.certificate import Backend, certify, why_not_certified
+from optshape_graph.errors import EstimationError, InputError, expect
+from optshape_graph.pose.certificate import NOT_TIGHT, Backend, certify
 from optshape_graph.pose.containment import find_by_containment
 from optshape_graph.pose.evidence import Evidence, Finding, measure
 from optshape_graph.pose.fit import Fit, measure_fit
@@ -50,10 +50,13 @@ def estimate_pose(
         The estimate. Its status says whether it can be used.
 
     Raises:
-        InputError: a method or a backend that does not exist.
+        InputError: a method or a backend that does not exist, or something else than a scan, a target and options.
         EstimationError: the returns determine no pose at all: none, fewer than three, all on a line, no
             azimuth step to be found.
     """
+    expect("scan", scan, Scan)
+    expect("target", target, Target)
+    expect("options", options, PoseOptions)
     for name, value, choices in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
         if value not in choices:
             raise InputError(f"{name} is {value!r}; expected one of {', '.join(map(repr, choices))}")
@@ -83,7 +86,7 @@ def conclude(found: Finding, duplicates: int, backend: Backend) -> PoseEstimate:
     status, reason = _verdict(found, fit, covariance, unobservable)
     certificate = certify(found.exact, T_target_lidar, found.total_weight, backend, options.certified_gap)
     if status == "ok" and not certificate.certified:
-        reason = why_not_certified(found.exact)
+        reason = NOT_TIGHT
     off_plane = evidence.scan.points @ T_target_lidar[0, :3] + T_target_lidar[0, 3]
     return PoseEstimate(
         target=problem.target,

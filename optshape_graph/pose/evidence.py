@@ -23,6 +23,7 @@ from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.surface import PlaneResiduals, Surface
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, inverse
+from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 BANDS = (4, 16, 64, 256)
@@ -94,14 +95,25 @@ class Evidence(Value):
         met = points * (-t[0] / (points @ R[0]))[:, None]
         return np.asarray(met @ R[1:].T + t[1:])
 
-    def reach(self) -> Floats:
-        """(N,) how far outside the outline the returns may lie, metres: a beam, and three standard deviations."""
-        ranges = np.linalg.norm(self.scan.points, axis=1)
-        return np.asarray(np.maximum(self.problem.beam.width(ranges), NARROWEST) + 3 * self.angular_noise * ranges)
+    def reach(self, further: float) -> Floats:
+        """(N,) how far outside the outline the returns may lie, metres: a beam, and three standard deviations.
 
-    def outside_beams(self, T_target_lidar: Floats) -> Floats:
-        """(N,) how far the returns lie outside the outline at a pose (4, 4), in beam widths; negative inside."""
-        return np.asarray(self.problem.target.outside_distance(self.in_plane(T_target_lidar)) / self.reach())
+        Args:
+            further: azimuth by which the rings are seen to reach further, by blooming, rad.
+        """
+        ranges = np.linalg.norm(self.scan.points, axis=1)
+        beam = np.maximum(self.problem.beam.width(ranges), NARROWEST)
+        return np.asarray(beam + (3 * self.angular_noise + further) * ranges)
+
+    def outside_beams(self, T_target_lidar: Floats, further: float = 0.0) -> Floats:
+        """(N,) how far the returns lie outside the outline at a pose (4, 4), in beam widths; negative inside.
+
+        Across the ray: seen at an angle, a beam reaches as much further in the plane.
+        """
+        target, ray = self.problem.target, self.scan.points @ T_target_lidar[:3, :3].T
+        mu = (ray[:, 1:] / ray[:, :1]) @ target.normals.T
+        beyond = self.in_plane(T_target_lidar) @ target.normals.T - target.offsets
+        return np.asarray((beyond / np.sqrt(1.0 + mu**2)).max(axis=1) / self.reach(further))
 
 
 def measure(scan: Scan, target: Target, options: PoseOptions, as_recorded: bool = False) -> Evidence:
@@ -130,7 +142,8 @@ def measure(scan: Scan, target: Target, options: PoseOptions, as_recorded: bool 
         seen = residuals.as_seen(returns.with_bands(scan.points, BANDS))
     else:
         seen = residuals.as_seen(returns).with_angles(plane.axes[0], ring[residuals.usual], scan.sensor)
-    on_plane = plane_measurement(seen)
+    brightness_bias = scan.sensor.brightness_bias if scan.sensor else SensorModel.brightness_bias
+    on_plane = plane_measurement(seen.with_brightness(plane.axes[0], brightness_bias))
     problem = Problem(edges, target, on_plane.of_one_scan().quadratic(), Beam.of(scan.sensor), options, scan.sensor)
     bounded = problem if angular_noise else replace(problem, edges=_bounded(edges, scan))
     return Evidence(
@@ -210,12 +223,13 @@ class Coverage(Value):
     cut: int
 
 
-def coverage(evidence: Evidence, T_target_lidar: Floats) -> Coverage:
+def coverage(evidence: Evidence, T_target_lidar: Floats, further: float) -> Coverage:
     """Count returns outside the outline, and firings that are missing inside.
 
     Args:
         evidence: of a scan with rings.
         T_target_lidar: (4, 4).
+        further: azimuth by which the rings are seen to reach further, by blooming, rad.
     """
     scan, edges, target = evidence.scan, evidence.problem.edges, evidence.problem.target
     assert scan.ring is not None
@@ -224,7 +238,7 @@ def coverage(evidence: Evidence, T_target_lidar: Floats) -> Coverage:
     elevation = np.arctan2(first[:, 2], np.hypot(first[:, 0], first[:, 1]))
     sides = sight_planes((target.vertices - T_target_lidar[:3, 3])[None] @ T_target_lidar[:3, :3])
     right, left = (ends[0] for ends in chords(sides, elevation, edges.reference_azimuth))
-    slack = step + float(np.median(evidence.reach() / np.linalg.norm(scan.points, axis=1)))
+    slack = step + float(np.median(evidence.reach(further) / np.linalg.norm(scan.points, axis=1)))
     beyond_left, beyond_right = left - edges.azimuth[::2], edges.azimuth[1::2] - right
     # A ring that looks elsewhere than the table says ends elsewhere, far from there where it runs along the edge.
     at = evidence.problem.geometry(T_target_lidar[None])
@@ -239,7 +253,7 @@ def coverage(evidence: Evidence, T_target_lidar: Floats) -> Coverage:
         low, high = chords(sides, scan.sensor.elevations[beside], edges.reference_azimuth)
         missing_rings = int(np.count_nonzero(high - low > step + slack))
     return Coverage(
-        outside=evidence.outside_beams(T_target_lidar),
+        outside=evidence.outside_beams(T_target_lidar, further),
         missing_left=float(np.maximum(beyond_left - slack_left, 0.0).sum()) / step,
         missing_right=float(np.maximum(beyond_right - slack_right, 0.0).sum()) / step,
         missing_inside=float(np.maximum(np.rint(gaps) - 1, 0).sum()),

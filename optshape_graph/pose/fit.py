@@ -179,8 +179,8 @@ def ring_flags(found: Finding, cover: Coverage) -> list[Flag]:
     outside = float(np.mean(cover.outside > 1.0))
     count = int(np.count_nonzero(cover.outside > 1.0))
     tilt, chance = found.evidence.tilt or (0.0, 1.0)
-    larger = -ends.offset / 4.4 if ends.offset < 0 else 0.0
-    smaller = ends.offset / 3.2 if ends.offset > 0 else 0.0
+    further = float(np.hypot(ends.offset, ends.blooming))  # most of the one where the other has no room
+    larger, smaller = (further / 4.4, 0.0) if ends.blooming > ends.offset else (0.0, further / 3.2)
     return [
         Flag("edges", max(chi / 3.2 * (ends.probability < 1e-6), beyond / 0.25),
              f"ring ends miss the edges by {np.sqrt(chi):.1f} standard deviations, {beyond:.0%} by more than 3: "
@@ -188,7 +188,7 @@ def ring_flags(found: Finding, cover: Coverage) -> list[Flag]:
         Flag("strain", ends.strain / 0.015 * (ends.strain_probability < 10**-4.3),
              f"the outline is stretched by {ends.strain:.1%}: a moving sensor, or a board that isn't as drawn"),
         Flag("size", max(larger, smaller),
-             f"the outline is {'larger' if larger else 'smaller'} than the drawing by {abs(ends.offset):.1f} standard "
+             f"the outline is {'larger' if larger else 'smaller'} than the drawing by {further:.1f} standard "
              "deviations of what a beam's width allows: another size, or a board that blooms"),
         Flag("run of ends", run / 2.9,
              "neighbouring ring ends all lie on one side of their edge: a part is hidden, or the shape is another"),
@@ -219,7 +219,7 @@ def measure_fit(found: Finding, duplicates: int) -> Fit:
     plane = r.beyond(3, np.zeros((len(scan), 0)))
     flags = plane_flags(evidence, T_target_lidar)
     if ends is not None:
-        cover = coverage(evidence, T_target_lidar)
+        cover = coverage(evidence, T_target_lidar, max(ends.blooming, 0.0) * evidence.problem.beam.blooming)
         flags += ring_flags(found, cover)
         outside, tilt = cover.outside, evidence.tilt[0] if evidence.tilt else None
         missing = (cover.missing_left, cover.missing_right, cover.missing_inside)

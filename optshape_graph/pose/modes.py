@@ -29,6 +29,7 @@ from optshape_graph.pose.propagation import (
 )
 from optshape_graph.pose.rays import Rays
 from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, rotation, transform, vec
+from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 ALTERNATIVES = 6
@@ -211,20 +212,20 @@ def scan_log_likelihood(evidence: Evidence) -> LogDensity:
     """
     scan, problem = evidence.scan, evidence.problem
     ends, beam, target, options, form = problem.edges, problem.beam, problem.target, problem.options, problem.plane
+    ranges = np.linalg.norm(ends.points[::2], axis=1)
+    common = beam.offset_of_rays(ranges)
     rays: Firings | Rays
     if beam.ideal and not ends.scatter.any():
         rays = Firings.of(scan, ends, options.flatness, options.lost_ends_of_rays, options.lost_span)
     else:
-        ranges = np.linalg.norm(ends.points[::2], axis=1)
-        rays = Rays.of(scan, ends, beam.width(ranges) / ranges, 2 * target.circumradius, options.odd_ends)
+        odd_ends = scan.sensor.odd_ends if scan.sensor else SensorModel.odd_ends
+        rays = Rays.of(scan, ends, beam.width(ranges) / ranges, 2 * target.circumradius, odd_ends)
 
     def log_likelihood(T_lidar_target: Floats, offset: Floats) -> Floats:
         z = vec(inverse(T_lidar_target))
         on_plane = -0.5 * (((z @ form[:12, :12] + 2 * form[12, :12]) * z).sum(axis=-1) + form[12, 12])
         corners = apply(T_lidar_target, target.vertices)
-        return np.asarray(
-            on_plane - 0.5 * (offset / beam.common) ** 2 + rays.log_likelihood(corners, offset + beam.offset)
-        )
+        return np.asarray(on_plane - 0.5 * (offset / common) ** 2 + rays.log_likelihood(corners, offset + beam.offset))
 
     return log_likelihood
 

@@ -9,7 +9,8 @@ and a weighted least-squares problem with that solution: each edge point has an 
 a standard deviation.
 
 Unknowns: a right perturbation of T_target_lidar (6), the offset across the edges that all edge points of a scan share
-(1), and where azimuths are noisy, the shift along each ring that both its ends share. Several candidate poses are
+(1), how much further along the rings a bright target reaches (1), and where azimuths are noisy, the shift along each
+ring that both its ends share. Several candidate poses are
 worked on at once.
 
 Evidence that the posterior leaves out is free: where the rings that returned nothing would have met the target
@@ -53,7 +54,7 @@ class Posterior(Value):
         offset: (C,) common offset across the edges, in units of the beam's width; positive: the returns lie further in.
         geometry: edge points at these poses.
         inset: (C, M) distance along the ring from each edge point to the boundary, rad, offset and shift apart.
-        shift: (C, M) outward motion of each edge point with its ring, where azimuths are noisy, rad.
+        shift: (C, M) outward motion of each edge point with its ring, where azimuths are noisy, and by blooming, rad.
         sigma: (C, M) standard deviation across the edge, metres, that stands for each interval.
         log_likelihood: (C,) logarithm of the probability of the edge points, and of what else of the scan was taken
             into account, up to a constant of the scan.
@@ -257,7 +258,7 @@ def _sweep(
 ) -> tuple[Floats, Posterior]:
     """Update all edge points at fixed linearisation; the step of the poses' means, and the posteriors."""
     points, m = problem.edges.points, geometry.direction @ T[:, :3, :3]
-    s, by_shift = geometry.along, problem.ring_shifts
+    s, by_shift = geometry.along, np.hstack([problem.blooming, problem.ring_shifts])
     columns = [np.cross(points, m), m, geometry.across[..., None], s[..., None] * by_shift]
     J = np.concatenate(columns, axis=-1)
     r = geometry.residual + offset[:, None] * geometry.across

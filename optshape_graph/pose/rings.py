@@ -16,6 +16,7 @@ from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import UP, EdgePoints
 from optshape_graph.factors.measurement import refine, template_rows
 from optshape_graph.factors.static import (
+    BLOOMING,
     EDGE_OFFSET,
     OUTER_EDGE,
     STRAIN,
@@ -47,7 +48,8 @@ def find_by_rings(evidence: Evidence) -> Finding:
     if modes.sampled is None:
         on_edges, edge_weight = _edge_measurement(evidence, modes, ends.seen_strain, ends.factor)
     else:
-        on_edges, edge_weight = sampled_measurement(modes.sampled, on_plane, problem.beam.common)
+        offset_sd = problem.beam.offset_of_rays(np.linalg.norm(problem.edges.points, axis=1))
+        on_edges, edge_weight = sampled_measurement(modes.sampled, on_plane, offset_sd)
     shared = on_edges + on_plane
 
     # What is uncertain beside: the surface, and associations that disagree or ends that scatter more than they should.
@@ -86,8 +88,9 @@ def _edge_measurement(
 ) -> tuple[BiasedMeasurement, float]:
     """Boundary points against their edges, before what they share is marginalised; and their weight.
 
-    They share the offset across the edges, and the strains of an outline that isn't as drawn, as large as are seen;
-    those of a ring the errors of its elevation and of its azimuth. Ends that scatter more than they should count less.
+    They share the offset across the edges, the blooming, and the strains of an outline that isn't as drawn, as large as
+    are seen; those of a ring the errors of its elevation and of its azimuth. Ends that scatter more than they should
+    count less.
 
     Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely
     take part: a weighted mean of their costs is a cost of the same form. Its minimum is near the mixture's mean where
@@ -120,9 +123,10 @@ def _edge_measurement(
         sigma = np.sqrt(np.maximum(sigma**2 - of_ring, 0.1 * sigma**2))
         own, outer = _outer_edges(problem.edges, sigma, geometry.own[0] - of_ring)
         offset = geometry.across[0] * problem.beam.common
+        further = -geometry.along[0] * problem.blooming[:, 0]
         strains = strain * problem.strains(geometry.labels[0], boundary, one.T_target_lidar[0])
         by_angle, angles = angle_errors(geometry.lifted[0], geometry.turned[0], problem.edges.ring, problem.sensor)
-        whitened = np.column_stack([offset, strains, outer, by_angle, A, r]) / (factor * own[:, None])
+        whitened = np.column_stack([offset, further, strains, outer, by_angle, A, r]) / (factor * own[:, None])
         shifts = _without_shifts(problem.ring_shifts * (geometry.along[0] / own)[:, None])
         rows.append(np.sqrt(weight[k]) * shifts @ whitened)
         total += float(weight[k] * (1 / (factor * sigma) ** 2).sum())
@@ -133,7 +137,7 @@ def _edge_measurement(
         stack[:, -1],
         posterior.T_target_lidar[0],
         [
-            *(SharedError(kind) for kind in (EDGE_OFFSET, *STRAIN)),
+            *(SharedError(kind) for kind in (EDGE_OFFSET, BLOOMING, *STRAIN)),
             *(SharedError(OUTER_EDGE, ring=int(ring)) for ring in problem.edges.ring[outside]),
             *angles,
         ],
@@ -158,7 +162,7 @@ def _outer_edges(edges: EdgePoints, sigma: Floats, own: Floats) -> tuple[Floats,
 
 
 def sampled_measurement(
-    sampled: SampledPose, on_plane: BiasedMeasurement, common: float
+    sampled: SampledPose, on_plane: BiasedMeasurement, offset_sd: float
 ) -> tuple[BiasedMeasurement, float]:
     """Say of the edges what, with the plane, makes the pose that was sampled, its covariance and the offset's.
 
@@ -167,27 +171,27 @@ def sampled_measurement(
     1, tell that apart.
 
     Args:
-        sampled: the pose and the offset.
-        on_plane: the returns of the plane.
-        common: standard deviation of the offset, in beam widths.
+        sampled: pose and offset.
+        on_plane: what the returns of the plane say.
+        offset_sd: standard deviation of the offset before the scan, in beam widths.
 
     Returns:
         The measurement, in z and the common offset, and the sum of 1 / sigma^2, 1/m2.
     """
     T = sampled.T_target_lidar
-    scale = np.append(np.ones(6), common)
+    scale = np.append(np.ones(6), offset_sd)
     total = np.linalg.inv(sampled.covariance) * np.outer(scale, scale)
     elsewhere, pull = np.zeros((7, 7)), np.zeros(7)  # of the plane, and of the offset's prior
     plane = on_plane.of_one_scan().at(T)
     J = plane.jacobian(T)
     elsewhere[:6, :6], elsewhere[6, 6] = J.T @ J, 1.0
-    pull[:6], pull[6] = J.T @ plane.residual(T), sampled.offset / common
+    pull[:6], pull[6] = J.T @ plane.residual(T), sampled.offset / offset_sd
     # What is left is the edges'. Where samples scatter more than the plane alone would let them, almost nothing is.
     root = np.linalg.cholesky(total)
     values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, total - elsewhere).T))
     values = np.maximum(values, 1e-3)
     whiten = np.sqrt(values)[:, None] * (root @ vectors).T
-    constant = whiten @ np.append(np.zeros(6), -sampled.offset / common) - np.linalg.solve(whiten.T, pull)
+    constant = whiten @ np.append(np.zeros(6), -sampled.offset / offset_sd) - np.linalg.solve(whiten.T, pull)
     K = 0.5 * vec_derivative(T).T
     K[3:] *= 2.0
     straight = np.array([_diagonal(T, axis) for axis in (1, 2)]) * np.sqrt(0.5 * total[0, 0])

@@ -30,6 +30,9 @@ class NoiseModel:
         ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
         elevation_error: standard deviation over rings of how far a ring's elevation is off the sensor's table, rad.
         azimuth_error: standard deviation over rings of how far a ring's azimuth is off, rad.
+        brightness_bias: standard deviation of the range bias that each surface in a scan has, metres.
+        blooming: standard deviation of the azimuth by which targets reach further, in a scan, on each side, rad.
+        odd_ends: share of ring ends on targets of which one firing more returns, or one to three fewer.
         range_resolution: step to which ranges are rounded, metres; 0: not rounded.
         dropout: probability that a return at normal incidence is lost. At incidence i it is dropout**cos(i), so
             that nothing returns from a surface seen along itself.
@@ -53,6 +56,9 @@ class NoiseModel:
     ring_bias: float = 0.0
     elevation_error: float = 0.0
     azimuth_error: float = 0.0
+    brightness_bias: float = 0.0
+    blooming: float = 0.0
+    odd_ends: float = 0.0
     range_resolution: float = 0.0
     dropout: float = 0.0
     hit_fraction: float = 0.5
@@ -68,6 +74,8 @@ class NoiseModel:
             "ring_bias",
             "elevation_error",
             "azimuth_error",
+            "brightness_bias",
+            "blooming",
             "range_resolution",
             "edge_spread",
             "common_edge_spread",
@@ -75,6 +83,8 @@ class NoiseModel:
             value = getattr(self, field)
             if value is not None and not (np.isfinite(value) and value >= 0):
                 raise InputError(f"noise: {field} {value} is not a number >= 0")
+        if not 0 <= self.odd_ends < 1:
+            raise InputError(f"noise: share of odd ring ends {self.odd_ends} is not a share below 1")
         if not 0 <= self.dropout < 1:
             raise InputError(f"noise: dropout {self.dropout} is not a probability below 1")
         if not 0 < self.hit_fraction < 1:
@@ -82,7 +92,7 @@ class NoiseModel:
 
     @classmethod
     def of(cls, sensor: SensorModel) -> NoiseModel:
-        """Return what the sensor's own model says: its range noise, its rings' errors and its resolution.
+        """Return what the sensor's own model says: noise, its rings' errors, resolution, blooming and odd ring ends.
 
         The azimuth phase is free, and a partial hit may or may not return, wherever in the beam the edge lies.
         """
@@ -91,6 +101,9 @@ class NoiseModel:
             ring_bias=_rms(sensor.range_bias_sds),
             elevation_error=_rms(sensor.elevation_sds),
             azimuth_error=_rms(sensor.azimuth_sds),
+            brightness_bias=sensor.brightness_bias,
+            blooming=sensor.blooming,
+            odd_ends=sensor.odd_ends,
             range_resolution=sensor.range_resolution,
             edge_spread=1.0,
             random_phase=True,
@@ -139,6 +152,10 @@ class NoiseModel:
         """(n_rings,) range bias of each ring, metres: draw once for a sensor, or once for a scan."""
         return rng.normal(0.0, self.ring_bias, n_rings) if self.ring_bias > 0 else np.zeros(n_rings)
 
+    def draw_brightness_bias(self, n_surfaces: int, rng: np.random.Generator) -> Floats:
+        """(n_surfaces,) range bias of each surface, metres."""
+        return rng.normal(0.0, self.brightness_bias, n_surfaces) if self.brightness_bias > 0 else np.zeros(n_surfaces)
+
     def draw_angle_errors(self, n_rings: int, rng: np.random.Generator) -> AngleErrors:
         """Return how far the rings look elsewhere than the sensor's table says: draw once for a sensor, or for a scan.
 
@@ -158,7 +175,8 @@ class NoiseModel:
     def widest_edge_margin(self, sensor: SensorModel) -> EdgeMargin:
         """Return one that no ray exceeds."""
         widest = 1.0 + self.edge_spread + max(self.edge_spread, self.common_edge_spread or 0.0)
-        return EdgeMargin(np.array([widest]), sensor.beam_divergence, sensor.beam_aperture)
+        further = MOST_BLOOMING * self.blooming
+        return EdgeMargin(np.array([widest]), sensor.beam_divergence, sensor.beam_aperture, further)
 
     def draw_edge_margin(self, sensor: SensorModel, n_rays: int, rng: np.random.Generator) -> EdgeMargin:
         """Return by how much each beam's axis may pass outside an edge and still return.
@@ -173,7 +191,10 @@ class NoiseModel:
             spread = self.edge_spread
             common = spread if self.common_edge_spread is None else self.common_edge_spread
             radii = radii + rng.uniform(-common, common) + rng.uniform(-spread, spread, n_rays)
-        return EdgeMargin(radii, sensor.beam_divergence, sensor.beam_aperture)
+        further = (
+            float(np.clip(rng.normal(), -MOST_BLOOMING, MOST_BLOOMING)) * self.blooming if self.blooming > 0 else 0.0
+        )
+        return EdgeMargin(radii, sensor.beam_divergence, sensor.beam_aperture, further)
 
     def draw_survivors(self, cos_incidence: Floats, rng: np.random.Generator) -> Bools:
         """(N,) whether a return at each (N,) cosine of incidence is detected."""
@@ -203,6 +224,10 @@ class NoiseModel:
         if self.elevation_noise > 0:
             elevation = elevation + rng.normal(0.0, self.elevation_noise, len(ranges))
         return ranges, azimuth, elevation
+
+
+MOST_BLOOMING = 4.0
+"""Standard deviations by which a target blooms at most."""
 
 
 def _rms(sds: Floats) -> float:

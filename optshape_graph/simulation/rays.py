@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,11 +30,15 @@ class EdgeMargin(Value):
             inside.
         divergence: full angle of the beam, rad.
         aperture: width of the beam where it leaves the sensor, metres.
+        further: azimuth by which a ray may pass outside beside, rad: blooming. Negative: by which it must pass inside.
+        axis: (3,) of the revolution, world frame.
     """
 
     radii: Floats
     divergence: float = 0.0
     aperture: float = 0.0
+    further: float = 0.0
+    axis: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
     def angle(self, index: Ints, ranges: Floats) -> Floats:
         """(M,) rad, of rays (M,) at ranges (M,), metres."""
@@ -48,8 +52,8 @@ class EdgeMargin(Value):
             distance: (N,) of its centre from the rays' origins, metres.
         """
         # Twice the margin at the centre: it is an angle, and what is in the sphere may be up to twice as far.
-        width = self.divergence * distance + self.aperture
-        return np.asarray((sphere[1] + np.abs(self.radii).max(initial=0.0) * width) * (1 + 1e-9))
+        width = np.abs(self.radii).max(initial=0.0) * (self.divergence * distance + self.aperture)
+        return np.asarray((sphere[1] + width + 2 * max(self.further, 0.0) * distance) * (1 + 1e-9))
 
 
 NO_MARGIN = EdgeMargin(np.zeros(1))

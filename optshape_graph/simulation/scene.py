@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,10 +12,11 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import inverse
+from optshape_graph.se3 import PoseLike, as_transform, inverse
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation.motion import Motion
 from optshape_graph.simulation.noise import IDEAL, NoiseModel
+from optshape_graph.simulation.odd_ends import make_odd_ends
 from optshape_graph.simulation.rays import AngleErrors, EdgeMargin, Revolution, unit_vectors
 from optshape_graph.simulation.surfaces import Patch, Surface
 from optshape_graph.target import Target
@@ -77,7 +79,7 @@ class SimulatedScan(Value):
 def simulate(
     scene: Scene,
     sensor: SensorModel,
-    T_world_lidar: Floats | Motion | None = None,
+    T_world_lidar: PoseLike | Motion | None = None,
     *,
     noise: NoiseModel = IDEAL,
     rng: np.random.Generator | int = 0,
@@ -111,17 +113,23 @@ def simulate(
     if bias.shape != (sensor.n_rings,):
         raise InputError(f"sensor '{sensor.name}' has {sensor.n_rings} rings; found range biases of shape {bias.shape}")
     bias = bias + sensor.deviations[0]
-    placement = np.eye(4) if T_world_lidar is None else T_world_lidar
+    placement: Any = np.eye(4) if T_world_lidar is None else T_world_lidar
+    if not hasattr(placement, "at"):  # no motion
+        placement = as_transform(placement, "T_world_lidar")
     if isinstance(placement, np.ndarray):
         rays = _facing(rays, scene, placement, noise.widest_edge_margin(sensor))
     origins, directions = _place(rays, placement)
 
-    margin = noise.draw_edge_margin(sensor, len(rays), rng)
+    margin = replace(noise.draw_edge_margin(sensor, len(rays), rng), axis=_pose_at_stamp(placement)[:3, 2])
     ranges, surface, cos_incidence = _cast(scene, origins, directions, margin)
+    if noise.odd_ends > 0:
+        for k, patch in enumerate(scene.targets):
+            make_odd_ends(k, patch, origins, directions, sensor.n_rings, ranges, surface, noise.odd_ends, rng)
     hit = np.flatnonzero((surface >= 0) & (ranges >= sensor.min_range) & (ranges <= sensor.max_range))
     hit = hit[noise.draw_survivors(cos_incidence[hit], rng)]
     ring = rays.ring(hit)
-    r, azimuth, elevation = noise.measure(ranges[hit], rays.azimuth(hit), rays.elevation(hit), bias[ring], rng)
+    bias = bias[ring] + noise.draw_brightness_bias(len(scene.surfaces), rng)[surface[hit]]
+    r, azimuth, elevation = noise.measure(ranges[hit], rays.azimuth(hit), rays.elevation(hit), bias, rng)
     reflectivity = np.array([thing.reflectivity for thing in scene.surfaces])
     scan = Scan(
         points=r[:, None] * unit_vectors(azimuth, elevation),
@@ -137,7 +145,7 @@ def simulate(
 def simulate_target(
     target: Target,
     sensor: SensorModel,
-    T_lidar_target: Floats,
+    T_lidar_target: PoseLike,
     *,
     noise: NoiseModel = IDEAL,
     rng: np.random.Generator | int = 0,
@@ -158,7 +166,7 @@ def simulate_target(
         angle_errors: how far rings look elsewhere than the sensor's file says; None: drawn from the noise.
         name: the scan's name.
     """
-    scene = Scene((Patch(target, np.asarray(T_lidar_target, dtype=float)),))
+    scene = Scene((Patch(target, as_transform(T_lidar_target, "T_lidar_target")),))
     made = simulate(scene, sensor, noise=noise, rng=rng, range_bias=range_bias, angle_errors=angle_errors, name=name)
     return made.scan
 

@@ -176,12 +176,31 @@ def _mocap(root: Node, targets: Mapping[str, Target]) -> Spatial:
     return Spatial(tuple(items), notes=tuple(notes))
 
 
+def _rig(root: Node, targets: Mapping[str, Target]) -> Spatial:
+    items, base = list[Points | Lines](), _at(root, "base").text()
+    for node in _at(root, "sensors").items():
+        name = _at(node, "sensor").text()
+        T = _at(node, "T_base_sensor").numbers(4, 4)
+        items.append(axes(f"sensors/{name}/axes", T, 0.2, name))
+    for node in _at(root, "transforms").items():
+        if _at(node, "a").text() == base:
+            place = f"sensors/{_at(node, 'b').text()}/3 sd"
+            items.append(ellipsoid(place, _at(node, "T_a_b").numbers(4, 4), _at(node, "covariance").numbers(6, 6)))
+    suggestion = root.entries().get("next_placement")
+    if suggestion is not None and suggestion.value is not None:
+        placed = {_at(n, "sensor").text(): _at(n, "T_base_sensor").numbers(4, 4) for n in _at(root, "sensors").items()}
+        T = placed[_at(suggestion, "sensor").text()] @ _at(suggestion, "T_sensor_target").numbers(4, 4)
+        items.append(axes("next placement", T, 0.3, "put the target here next"))
+    return Spatial(tuple(items))
+
+
 FORMS: dict[str, Callable[[Node, Mapping[str, Target]], Spatial]] = {
     "estimate": _estimate,
     "detect": _detect,
     "map": _map,
     "camera-calibration": _camera,
     "mocap": _mocap,
+    "rig": _rig,
     "simulation": _simulation,
 }
 """What can be shown, by the kind in the schema."""

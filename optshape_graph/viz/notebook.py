@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from optshape_graph.calibration.camera import CameraCalibration
 from optshape_graph.calibration.mocap import MocapCalibration
+from optshape_graph.calibration.rig import RigCalibration
 from optshape_graph.calibration.sensor import SensorCalibration
 from optshape_graph.detection import Detections
 from optshape_graph.errors import MissingExtraError
@@ -19,6 +20,7 @@ from optshape_graph.viz.evaluation import plot_sweep
 from optshape_graph.viz.map import plot_map
 from optshape_graph.viz.mocap import plot_calibration_errors
 from optshape_graph.viz.pose import plot_edge_labels, plot_vertices
+from optshape_graph.viz.rig import plot_rig
 from optshape_graph.viz.scan import plot_found
 from optshape_graph.viz.sensor import plot_ring_residuals
 
@@ -63,6 +65,8 @@ def _figure(result: object) -> Figure | None:
             return plot_ring_residuals(result)
         case CameraCalibration():
             return plot_view_errors(result)
+        case RigCalibration():
+            return plot_rig(result)
         case Map():
             return plot_map(result)
         case Table() if result and set(CELL) <= result[0].keys():

@@ -25,9 +25,9 @@ def free() -> tuple[Scan, list]:
 
 
 def with_pole() -> tuple[Scan, list]:
-    at = pose(6, -0.6, 0, 0, 0, 15)
+    at = pose(8, 0.2, 0, 0, 0, -5)
     pole = Box(np.array([0.05, 0.05, 1.8]), pose(*(at[:3, 3] + 0.05 * at[:3, 0] - [0, 0, 0.9])))
-    return scan_of(VLP32C, [(SQUARE, at)], pole).scan, [SQUARE]
+    return scan_of(VLP32C, [(SQUARE, at)], pole, seed=2).scan, [SQUARE]
 
 
 def with_arm() -> tuple[Scan, list]:

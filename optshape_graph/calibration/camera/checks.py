@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from optshape_graph.calibration.camera.export import kalibr_distortion
 from optshape_graph.calibration.camera.factors import OFFSET_SIGMA_M
+from optshape_graph.calibration.exports import kalibr_distortion
 from optshape_graph.calibration.images.chessboard import shown_counts
 from optshape_graph.calibration.images.reading import read_grey
 from optshape_graph.errors import InputError

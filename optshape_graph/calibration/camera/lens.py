@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.stats import f as f_distribution
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.factors import INTRINSICS_SIGMA, LENS, CompiledCamera
-from optshape_graph.calibration.camera.sightings import View
+from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import whitened_errors
 from optshape_graph.calibration.images.projection import project
 from optshape_graph.calibration.images.reading import TargetInImage
@@ -46,21 +46,20 @@ class LensCheck:
     contradicted: bool
 
 
-def check_lenses(views: Sequence[View]) -> tuple[LensCheck, ...]:
+def check_lenses(images: Iterable[TargetInImage]) -> tuple[LensCheck, ...]:
     """Test each camera's lens against its images: would another lens fit better, all poses free?
 
     A score test: one linear step from the given intrinsics and the poses of the images alone, so nothing is solved.
     Cameras with few images, or with more distortion terms than can be refined, are left out.
 
     Args:
-        views: of all cameras.
+        images: of all cameras.
     """
-    images: dict[str, dict[int, TargetInImage]] = {}
-    for view in views:
-        if view.image is not None:
-            images.setdefault(view.image.camera.name, {})[id(view.image)] = view.image
+    found: dict[str, dict[int, TargetInImage]] = {}
+    for image in images:
+        found.setdefault(image.camera.name, {})[id(image)] = image
     checks = []
-    for name, group in images.items():
+    for name, group in found.items():
         try:
             camera = CompiledCamera.of(next(iter(group.values())).camera)
             camera.check_refinable()
@@ -77,7 +76,7 @@ def _check(name: str, images: Sequence[TargetInImage], camera: CompiledCamera) -
     for image in images:
         points, T = image.points, image.poses[0].T_camera_target
         errors, by_pose = whitened_errors(points, image.camera, T)
-        by_lens = _by_lens(image, camera)
+        by_lens = lens_derivative(points, camera, T)
         # What the pose cannot take up.
         Q = np.linalg.qr(by_pose)[0]
         errors, by_lens = errors - Q @ (Q.T @ errors), by_lens - Q @ (Q.T @ by_lens)
@@ -95,9 +94,14 @@ def _check(name: str, images: Sequence[TargetInImage], camera: CompiledCamera) -
     return LensCheck(name, len(images), rms, refined, chance < FALSE_ALARM and refined < WORTHWHILE * rms)
 
 
-def _by_lens(image: TargetInImage, camera: CompiledCamera) -> Floats:
-    """Derivative (2 m, 8) of the whitened errors by the entries LENS of the intrinsics."""
-    T, points = image.poses[0].T_camera_target, image.points
+def lens_derivative(points: ImagePoints, camera: CompiledCamera, T: Floats) -> Floats:
+    """Return the derivative (2 m, 8) of the whitened errors by the entries LENS of the intrinsics.
+
+    Args:
+        points: m points of a target in an image.
+        camera: the lens.
+        T: (4, 4) T_camera_target.
+    """
     in_camera = apply(T, points.points)
     columns = []
     for k in LENS:

@@ -18,9 +18,18 @@ PRIOR_RESIDUALS = 20.0
 
 def with_estimated_pixel_noise(views: Sequence[View]) -> list[View]:
     """Scale the pixels' noise, one factor for each camera, to what is left when every image is fitted by itself."""
+    factors = noise_factors([view.image for view in views if view.image is not None])
+    return [
+        view if view.image is None else replace(view, image=scaled(view.image, factors[view.image.camera.name]))
+        for view in views
+    ]
+
+
+def noise_factors(images: Sequence[TargetInImage]) -> dict[str, float]:
+    """Return by camera what the standard deviations of pixels are to be multiplied by."""
     sums: dict[str, float] = {}
     freedom: dict[str, float] = {}
-    for image in (view.image for view in views if view.image is not None):
+    for image in images:
         T, points = image.poses[0].T_camera_target, image.points
         errors = project(image.camera, apply(T, points.points)) - points.pixels
         whitened = np.einsum("nij,nj->ni", points.sqrt_information, errors)
@@ -29,10 +38,10 @@ def with_estimated_pixel_noise(views: Sequence[View]) -> list[View]:
         name = image.camera.name
         sums[name] = sums.get(name, PRIOR_RESIDUALS) + float((whitened**2).sum())
         freedom[name] = freedom.get(name, PRIOR_RESIDUALS) + float((strength > 0.01 * strength.max()).sum() - 6)
-    return [view if view.image is None else replace(view, image=_scaled(view.image, sums, freedom)) for view in views]
+    return {name: float(np.sqrt(sums[name] / freedom[name])) for name in sums}
 
 
-def _scaled(image: TargetInImage, sums: dict[str, float], freedom: dict[str, float]) -> TargetInImage:
-    factor = float(np.sqrt(sums[image.camera.name] / freedom[image.camera.name]))
+def scaled(image: TargetInImage, factor: float) -> TargetInImage:
+    """Return an image whose pixels have so many times the standard deviation."""
     poses = tuple(replace(pose, information=pose.information / factor**2) for pose in image.poses)
     return replace(image, points=image.points.scaled_noise(factor), poses=poses)

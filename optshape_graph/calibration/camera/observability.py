@@ -22,7 +22,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Direction:
-    """A principal direction of an extrinsic's uncertainty, LiDAR frame, about the middle of the targets.
+    """A principal direction of an extrinsic's uncertainty, in one sensor's frame, about the middle of the targets.
 
     Attributes:
         text: what it is, in words.
@@ -33,15 +33,16 @@ class Direction:
     sigma_m: float
 
 
-def principal_directions(covariance: Floats, centre: Floats) -> list[Direction]:
-    """Split the covariance of T_camera_lidar in principal directions, the worst first.
+def principal_directions(covariance: Floats, centre: Floats, frame: str = "LiDAR") -> list[Direction]:
+    """Split the covariance of T_camera_lidar, or of any T_a_b, in principal directions, the worst first.
 
     Rotation and translation are taken about the middle of the targets, where they are nearly independent, and a
     rotation counts by how far it moves what is one targets' distance away.
 
     Args:
-        covariance: (6, 6) of the right perturbation (LiDAR frame), rotation first.
-        centre: (3,) middle of the targets, metres, LiDAR frame.
+        covariance: (6, 6) of the right perturbation (LiDAR frame, or b's), rotation first.
+        centre: (3,) middle of the targets, metres, in that frame.
+        frame: what words call that frame.
     """
     distance = float(np.linalg.norm(centre))
     to_middle = np.eye(4)
@@ -49,25 +50,25 @@ def principal_directions(covariance: Floats, centre: Floats) -> list[Direction]:
     J = np.diag([distance] * 3 + [1.0] * 3) @ adjoint(to_middle)
     values, vectors = np.linalg.eigh(J @ covariance @ J.T)
     return [
-        Direction(_words(vector, float(np.sqrt(max(value, 0.0))), distance), float(np.sqrt(max(value, 0.0))))
+        Direction(_words(vector, float(np.sqrt(max(value, 0.0))), distance, frame), float(np.sqrt(max(value, 0.0))))
         for value, vector in zip(values[::-1], vectors.T[::-1], strict=True)
     ]
 
 
-def _words(vector: Floats, sigma: float, distance: float) -> str:
+def _words(vector: Floats, sigma: float, distance: float, frame: str = "LiDAR") -> str:
     turn, shift = vector[:3], vector[3:]
     if turn @ turn > shift @ shift:
         axis = turn / np.linalg.norm(turn)
-        return f"rotation about {_axis(axis)} through the targets, {np.degrees(sigma / distance):.3f} deg"
-    return f"translation along {_axis(shift / np.linalg.norm(shift))}, {1e3 * sigma:.1f} mm"
+        return f"rotation about {_axis(axis, frame)} through the targets, {np.degrees(sigma / distance):.3f} deg"
+    return f"translation along {_axis(shift / np.linalg.norm(shift), frame)}, {1e3 * sigma:.1f} mm"
 
 
-def _axis(axis: Floats) -> str:
+def _axis(axis: Floats, frame: str = "LiDAR") -> str:
     k = int(np.abs(axis).argmax())
     if abs(axis[k]) > 0.95:
-        return f"LiDAR {AXES[k]}"
+        return f"{frame} {AXES[k]}"
     x, y, z = axis * np.sign(axis[k])
-    return f"LiDAR ({x:.2f}, {y:.2f}, {z:.2f})"
+    return f"{frame} ({x:.2f}, {y:.2f}, {z:.2f})"
 
 
 def check_observable(uncertainty: Uncertainty, centre: Floats) -> None:

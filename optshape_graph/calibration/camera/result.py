@@ -17,8 +17,8 @@ from optshape_graph.calibration.camera.lens import LensCheck
 from optshape_graph.calibration.camera.next_placement import NextPlacement, suggest_placement
 from optshape_graph.calibration.camera.observability import Direction, principal_directions
 from optshape_graph.calibration.camera.sightings import TargetInScan, View
-from optshape_graph.calibration.camera.static_transforms import static_transforms
 from optshape_graph.calibration.camera.uncertainty import Uncertainty
+from optshape_graph.calibration.exports import Mounted, static_transforms
 from optshape_graph.calibration.free_shape import MeasuredShape, measure_shape
 from optshape_graph.calibration.verdict import NOT_TRUSTED, Finding, verdict
 from optshape_graph.errors import EstimationError
@@ -128,12 +128,24 @@ class CameraCalibration(Result):
         moved = difference(T, T_likely)
         return T, J @ self.uncertainty.covariance @ J.T + np.outer(moved, moved)
 
+    def mounted(self) -> list[Mounted]:
+        """Return where the sensors are, for clouds as they come: LiDARs first, the base before all."""
+        lenses = self.rig.cameras
+        return [
+            Mounted(name, self.transform(self.lidars[0], name)[0], lenses.get(name))
+            for name in (*self.lidars, *self.cameras)
+        ]
+
     def range_bias(self, lidar: str) -> tuple[float, float]:
-        """Return a LiDAR's range bias, metres, and its standard deviation; positive: it measures too far."""
+        """Return a LiDAR's range bias, metres, and its standard deviation; positive: it measures too far.
+
+        It is that of `corrected`; as with `transform`, the deviation allows for a lens that is not quite as given.
+        """
         if self.corrected is None or lidar not in self.corrected.range_bias:
             return 0.0, 0.0
         row = self.uncertainty.rows["range_bias", lidar].start
-        return self.corrected.range_bias[lidar], float(np.sqrt(self.uncertainty.covariance[row, row]))
+        moved = self.corrected.range_bias[lidar] - self.most_likely.range_bias[lidar]
+        return self.corrected.range_bias[lidar], float(np.sqrt(self.uncertainty.covariance[row, row] + moved**2))
 
     def edge_insets(self, lidar: str) -> Floats:
         """Return the azimuths (N,), rad, from a ring's last return to the target's edge in a LiDAR's used scans.

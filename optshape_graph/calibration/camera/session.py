@@ -23,6 +23,8 @@ from optshape_graph.io import Session, read_scan
 from optshape_graph.io import View as Entry
 from optshape_graph.io.passed_over import UNUSABLE, PassedOver
 from optshape_graph.pose import PoseEstimate, estimate_pose
+from optshape_graph.runs.files import fingerprint
+from optshape_graph.runs.kept import Kept
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, vec_derivative
 from optshape_graph.sensor import SensorModel
@@ -43,6 +45,7 @@ def read_views(
     use_target_points: bool = False,
     progress: Progress | None = None,
     passed_over: PassedOver | None = None,
+    kept: Kept | None = None,
 ) -> list[View]:
     """Find the session's targets in its scans and images.
 
@@ -53,6 +56,7 @@ def read_views(
         use_target_points: whether to take the target's returns from the views' manual crops.
         progress: called as images and scans are done.
         passed_over: counts the scans and images that show nothing, and the clouds' fields that are not used.
+        kept: what a run that was stopped found, and this one finds; None: it is not kept.
 
     Raises:
         InputError: what `check_session` says; crops that were asked for are missing; or the intrinsics fit half of the
@@ -60,8 +64,8 @@ def read_views(
         EstimationError: no image, or no scan, shows a target; the message has the reason of each.
     """
     check_session(session)
-    image_tasks, scan_tasks = _image_tasks(session), _scan_tasks(session, use_target_points)
-    total, done, lock = len(image_tasks) + len(scan_tasks), 0, Lock()
+    of_images, of_scans = image_tasks(session), scan_tasks(session, use_target_points)
+    total, done, lock = len(of_images) + len(of_scans), 0, Lock()
 
     def tick() -> None:
         nonlocal done
@@ -70,17 +74,18 @@ def read_views(
             if progress is not None:
                 progress(done, total)
 
-    images = _read_images(session, image_tasks, tick)
+    kept = kept or Kept()
+    images = read_images(session, of_images, tick, kept)
     passed_over = PassedOver() if passed_over is None else passed_over
-    scans = _read_scans(session, scan_tasks, use_target_points, tick, passed_over.unused("scans"))
-    _check_found(session, scans.values(), TargetInScan, "scan")
+    scans = read_scans(session, of_scans, use_target_points, tick, passed_over.unused("scans"), kept)
+    check_found(session, scans.values(), TargetInScan, "scan")
     for source, results in (("scans", scans), ("images", images)):
-        _count_skipped(passed_over, source, results)
-    placements = _placements(session.views)
+        count_skipped(passed_over, source, results)
+    placements = moments_of(session.views)
     views = []
     for number, entry in enumerate(session.views):
         for name in entry.targets:
-            scan = scans[_scan_file(entry, use_target_points), entry.lidar, name]
+            scan = scans[scan_file(entry, use_target_points), entry.lidar, name]
             image = images.get((entry.image, entry.camera, name)) if entry.image and entry.camera else None
             problems = [str(found) for found in (scan, image) if isinstance(found, Exception)]
             views.append(
@@ -89,8 +94,8 @@ def read_views(
                     target=replace(session.targets[name], name=name),  # two boards of one file are two boards
                     scan=scan if isinstance(scan, TargetInScan) else None,
                     image=image if isinstance(image, TargetInImage) else None,
-                    scan_name=_relative(entry.scan, session),
-                    image_name=_relative(entry.image, session) if entry.image else "",
+                    scan_name=relative_to(session, entry.cloud),
+                    image_name=relative_to(session, entry.image) if entry.image else "",
                     problem="; ".join(problems),
                 )
             )
@@ -116,6 +121,7 @@ def target_in_scan(
     if estimate.status == "failed" or estimate.shared is None:
         raise EstimationError(f"{returns.name}: {estimate.reason}")
     shared, shared_effect = _shared_errors(estimate)
+    passing = [error for error in estimate.shared.shared if not persists(error)]
     return TargetInScan(
         lidar=lidar,
         scan=returns.name,
@@ -125,11 +131,18 @@ def target_in_scan(
         uncorrected=estimate.shared.marginal([float(e.kind != RANGE_BIAS) for e in estimate.shared.shared]),
         shared=shared,
         shared_effect=shared_effect,
+        persistent=estimate.shared.without(passing),
+        bias_factor=estimate.fit.bias_factor,
         edge_inset=estimate.inset_rad,
         doubt=estimate.reason if estimate.status == "doubtful" else "",
         own=returns,
         all_returns=(scan or returns).points,
     )
+
+
+def persists(error: SharedError) -> bool:
+    """Return whether an error is the LiDAR's own, in every scan: a ring's."""
+    return error.ring is not None and error.kind in OF_RINGS
 
 
 def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[SharedError, ...], Floats]:
@@ -150,7 +163,8 @@ def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[SharedError, ...], Flo
     return tuple(errors[j] for j in rings), np.asarray(-adjoint(estimate.T_target_lidar) @ x)
 
 
-def _image_tasks(session: Session) -> dict[ImageKey, ImageTask]:
+def image_tasks(session: Session) -> dict[ImageKey, ImageTask]:
+    """Return the targets to look for in each image of each camera."""
     return {
         (entry.image, entry.camera, name): ImageTask(
             entry.image, session.targets[name], replace(session.cameras[entry.camera], name=entry.camera), entry.corners
@@ -161,29 +175,37 @@ def _image_tasks(session: Session) -> dict[ImageKey, ImageTask]:
     }
 
 
-def _scan_tasks(session: Session, use_target_points: bool) -> dict[tuple[Path, str], list[str]]:
+def scan_tasks(session: Session, use_target_points: bool) -> dict[tuple[Path, str], list[str]]:
     """Return the targets to look for in each scan of each LiDAR."""
     wanted: dict[tuple[Path, str], list[str]] = {}
     for entry in session.views:
-        names = wanted.setdefault((_scan_file(entry, use_target_points), entry.lidar), [])
+        if entry.scan is None:
+            continue
+        names = wanted.setdefault((scan_file(entry, use_target_points), entry.lidar), [])
         names.extend(name for name in entry.targets if name not in names)
     return wanted
 
 
-def _read_images(
-    session: Session, tasks: Mapping[ImageKey, ImageTask], tick: Callable[[], None]
+def read_images(
+    session: Session, tasks: Mapping[ImageKey, ImageTask], tick: Callable[[], None], kept: Kept
 ) -> dict[ImageKey, ImageResult]:
-    found = find_targets(list(tasks.values()), tick)
+    """Find targets in images.
+
+    Raises:
+        InputError: the intrinsics fit half of the images or fewer.
+        EstimationError: no image shows a target.
+    """
+    found = find_targets(list(tasks.values()), tick, kept)
     unfit = [error for error in found if isinstance(error, InputError)]
     shown = sum(isinstance(one, TargetInImage) for one in found)
     if unfit and shown <= len(unfit):
         others = f" ({len(unfit)} of {len(unfit) + shown} images do not fit)" if len(unfit) > 1 else ""
         raise InputError(f"{unfit[0]}{others}")
-    _check_found(session, found, TargetInImage, "image")
+    check_found(session, found, TargetInImage, "image")
     return dict(zip(tasks, found, strict=True))
 
 
-def _check_found(session: Session, found: Iterable[object], kind: type, what: str) -> None:
+def check_found(session: Session, found: Iterable[object], kind: type, what: str) -> None:
     """Raise with the reasons where no file shows a target."""
     results = list(found)
     if not any(isinstance(one, kind) for one in results):
@@ -192,7 +214,7 @@ def _check_found(session: Session, found: Iterable[object], kind: type, what: st
         raise EstimationError(f"{session.path}: no {what} shows a target: {'; '.join(reasons)}")
 
 
-def _count_skipped(passed_over: PassedOver, source: str, results: Mapping[tuple[Path, str, str], object]) -> None:
+def count_skipped(passed_over: PassedOver, source: str, results: Mapping[tuple[Path, str, str], object]) -> None:
     """Count the files that show none of their targets, by what the first of them says."""
     files: dict[Path, list[object]] = {}
     for (path, _, _), result in results.items():
@@ -202,76 +224,96 @@ def _count_skipped(passed_over: PassedOver, source: str, results: Mapping[tuple[
             passed_over.skip(source, UNUSABLE if isinstance(found[0], InputError) else "no target found")
 
 
-def _read_scans(
+def read_scans(
     session: Session,
     tasks: Mapping[tuple[Path, str], list[str]],
     are_crops: bool,
     tick: Callable[[], None],
     unused: Counter[str],
+    kept: Kept,
 ) -> dict[tuple[Path, str, str], ScanResult]:
+    """Find targets in scans, by file, LiDAR and target."""
     results: dict[tuple[Path, str, str], ScanResult] = {}
     for (path, lidar), names in tasks.items():
         targets = {name: session.targets[name] for name in names}
-        for name, result in _in_scan(path, session.lidars[lidar], lidar, targets, are_crops, unused).items():
+        for name, result in _in_scan(path, session.lidars[lidar], lidar, targets, are_crops, unused, kept).items():
             results[path, lidar, name] = result
         tick()
     return results
 
 
 def _in_scan(
-    path: Path, sensor: SensorModel, lidar: str, targets: Mapping[str, Target], is_crop: bool, unused: Counter[str]
+    path: Path,
+    sensor: SensorModel,
+    lidar: str,
+    targets: Mapping[str, Target],
+    is_crop: bool,
+    unused: Counter[str],
+    kept: Kept,
 ) -> dict[str, ScanResult]:
     """Find targets in one scan: in a crop by cleaning it, in a full one by detection."""
     try:
         scan = read_scan(path, sensor, unused=unused)
+        of = {"scan": fingerprint([str(path)]), "crop": is_crop, "lidar": lidar, "sensor": sensor, "targets": targets}
         if not is_crop:
-            return _detected(scan, lidar, targets)
+            return _with_scan(kept(Mapping[str, TargetInScan | str], of, lambda: _detected(scan, lidar, targets)), scan)
         if len(targets) > 1:
             raise InputError(
                 f"{path}: a crop of {len(targets)} targets ({', '.join(targets)}); expected one target a view"
             )
         ((name, target),) = targets.items()
-        return {name: target_in_scan(planar_returns(scan), target, lidar, scan=scan)}
+        found = kept(TargetInScan, of, lambda: target_in_scan(planar_returns(scan), target, lidar))
+        return _with_scan({name: found}, scan)
     except (EstimationError, InputError) as error:
         return dict.fromkeys(targets, error)
 
 
-def _detected(scan: Scan, lidar: str, targets: Mapping[str, Target]) -> dict[str, ScanResult]:
-    """Find targets in a full scan; of several of one kind, the most certain."""
+def _with_scan(found: Mapping[str, TargetInScan | str], scan: Scan) -> dict[str, ScanResult]:
+    """Add to what is kept of a scan its other returns."""
+    return {
+        name: EstimationError(seen) if isinstance(seen, str) else replace(seen, all_returns=scan.points)
+        for name, seen in found.items()
+    }
+
+
+def _detected(scan: Scan, lidar: str, targets: Mapping[str, Target]) -> dict[str, TargetInScan | str]:
+    """Find targets in a full scan, of several of one kind the most certain; or say why there is none."""
     named = {name: replace(target, name=name) for name, target in targets.items()}
     detections = detect_targets(scan, list(named.values()))
-    results: dict[str, ScanResult] = {}
+    results: dict[str, TargetInScan | str] = {}
     for name in targets:
         found = [one for one in detections.found if one.target.name == name and one.estimate.status != "failed"]
         if found:
             best = max(found, key=lambda one: one.score)
-            results[name] = target_in_scan(scan.select(best.indices), best.target, lidar, best.estimate, scan)
+            results[name] = target_in_scan(scan.select(best.indices), best.target, lidar, best.estimate)
         else:
             closest = max(detections.rejected, key=lambda one: one.area, default=None)
             why = f"; the largest surface turned down: {closest.reason}" if closest else ""
-            results[name] = EstimationError(f"{scan.name}: target '{name}' not found in the scan{why}")
+            results[name] = f"{scan.name}: target '{name}' not found in the scan{why}"
     return results
 
 
-def _scan_file(entry: Entry, use_target_points: bool) -> Path:
+def scan_file(entry: Entry, use_target_points: bool) -> Path:
     if not use_target_points:
-        return entry.scan
+        return entry.cloud
     if entry.target_points is None:
-        raise InputError(f"{entry.scan}: the view has no 'target_points', which were asked for")
+        raise InputError(f"{entry.cloud}: the view has no 'target_points', which were asked for")
     return entry.target_points
 
 
-def _placements(entries: Sequence[Entry]) -> list[int]:
+def moments_of(entries: Sequence[Entry]) -> list[int]:
     """Return a number for each view, the same where they share a scan, an image or a stamp."""
     groups = DisjointSet(range(len(entries)))
     first: dict[object, int] = {}
     for number, entry in enumerate(entries):
-        for mark in (entry.scan, entry.image, entry.stamp):
-            if mark is not None:
+        marks = {"scan": entry.scan, "image": entry.image, "stamp": entry.stamp, "frame": entry.mocap_frame}
+        for mark in marks.items():
+            if mark[1] is not None:
                 groups.merge(first.setdefault(mark, number), number)
     return [groups[number] for number in range(len(entries))]
 
 
-def _relative(path: Path, session: Session) -> str:
+def relative_to(session: Session, path: Path) -> str:
+    """Return a path as messages show it, from the session's folder."""
     folder = session.path.parent
     return str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)

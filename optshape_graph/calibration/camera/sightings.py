@@ -9,7 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.calibration.images.reading import TargetInImage
-from optshape_graph.factors import SharedError, TemplateMeasurement
+from optshape_graph.factors import BiasedMeasurement, SharedError, TemplateMeasurement
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
@@ -28,6 +28,9 @@ class TargetInScan(Value):
         uncorrected: the same, the rings' biases being part of what is measured: for clouds as they come.
         shared: the errors that all scans of the LiDAR have in common: the range biases of its rings.
         shared_effect: (6, k) right perturbation of the pose, rad and metres, by a standard deviation of each.
+        persistent: the measurement, the errors that the LiDAR keeps from scan to scan being unknowns of it; of range
+            biases the unit is `bias_factor` times the sensor file's.
+        bias_factor: how much larger than the sensor file's biases were seen.
         edge_inset: median azimuth from a ring's last return to the target's edge, rad; the estimate lets it be what it
             is in each scan.
         doubt: why the returns do not fit the target as they should, "" if they do; the other sightings judge the pose.
@@ -43,6 +46,8 @@ class TargetInScan(Value):
     uncorrected: TemplateMeasurement
     shared: tuple[SharedError, ...]
     shared_effect: Floats
+    persistent: BiasedMeasurement
+    bias_factor: float
     edge_inset: float
     doubt: str
     own: Scan

@@ -17,7 +17,9 @@ from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Mocap, Session, View
-from optshape_graph.pose import estimate_pose
+from optshape_graph.pose import PoseEstimate, estimate_pose
+from optshape_graph.runs.files import fingerprint
+from optshape_graph.runs.kept import Kept
 from optshape_graph.target import Target
 
 
@@ -26,6 +28,7 @@ def load_mocap_scans(
     layout_prior: float = MarkerModel.layout_prior,
     progress: Callable[[int, int], None] = lambda done, total: None,
     passed_over: PassedOver | None = None,
+    kept: Kept | None = None,
 ) -> tuple[tuple[MocapScan, ...], tuple[LeftOut, ...], CheckedMarkers]:
     """Read and estimate every scan of a session that has markers, the markers checked and mended first.
 
@@ -34,6 +37,7 @@ def load_mocap_scans(
         layout_prior: standard deviation of a marker's place about its vertex along each axis, metres.
         progress: called with the number of scans done and their total.
         passed_over: counts the scans that cannot be used, the clouds' fields and the markers that are not used.
+        kept: estimates of a run that was stopped, and of this one; None: they are not kept.
 
     Returns:
         The scans that can be used; those that cannot, with reasons: no marker frame, too few markers, an estimate
@@ -49,9 +53,9 @@ def load_mocap_scans(
         if len(found) != 1:
             raise InputError(f"{session.path}: a motion-capture calibration is of one {kind}; found {len(found)}")
     target = next(iter(session.targets.values()))
-    names = _markers_of_vertices(session.mocap, target, session.path)
+    names = markers_of_vertices(session.mocap, target, session.path)
     wanted = dict.fromkeys(view.mocap_frame for view in session.views if view.mocap_frame is not None)
-    frames = {number: _of_vertices(session.mocap.markers.frames[number], names) for number in wanted}
+    frames = {number: of_vertices(session.mocap.markers.frames[number], names) for number in wanted}
     checked = check_markers(target, frames, names, layout_prior, str(session.path))
     passed_over = PassedOver() if passed_over is None else passed_over
     for reason, count in session.mocap.markers.passed_over.items():
@@ -61,8 +65,8 @@ def load_mocap_scans(
     for done, view in enumerate(session.views):
         progress(done, len(session.views))
         folder = session.path.parent
-        name = str(view.scan.relative_to(folder) if view.scan.is_relative_to(folder) else view.scan)
-        scan = _estimated(name, view, session, target, checked, passed_over)
+        name = str(view.cloud.relative_to(folder) if view.cloud.is_relative_to(folder) else view.cloud)
+        scan = _estimated(name, view, session, target, checked, passed_over, kept or Kept())
         if isinstance(scan, LeftOut):
             left_out.append(scan)
         else:
@@ -72,7 +76,13 @@ def load_mocap_scans(
 
 
 def _estimated(
-    name: str, view: View, session: Session, target: Target, checked: CheckedMarkers, passed_over: PassedOver
+    name: str,
+    view: View,
+    session: Session,
+    target: Target,
+    checked: CheckedMarkers,
+    passed_over: PassedOver,
+    kept: Kept,
 ) -> MocapScan | LeftOut:
     def left_out(kind: str, reason: str) -> LeftOut:
         passed_over.skip("scans", kind)
@@ -87,10 +97,11 @@ def _estimated(
     seen = int(np.isfinite(markers).all(axis=1).sum())
     if seen < MIN_MARKERS:
         return left_out("too few markers", f"frame {frame} shows {seen} markers; {MIN_MARKERS} are needed")
-    returns = read_scan(view.target_points or view.scan, session.lidars[view.lidar], unused=passed_over.unused("scans"))
-    returns = replace(returns, name=name)
+    path, sensor = view.target_points or view.cloud, session.lidars[view.lidar]
+    returns = replace(read_scan(path, sensor, unused=passed_over.unused("scans")), name=name)
+    of = {"scan": fingerprint([str(path)]), "name": name, "sensor": sensor, "target": target}
     try:
-        estimate = estimate_pose(returns, target)
+        estimate = kept(PoseEstimate, of, lambda: estimate_pose(returns, target))
     except EstimationError as error:
         return left_out("no pose found", str(error))
     if estimate.status in ("failed", "ambiguous"):  # a doubtful one is judged by the other scans
@@ -98,12 +109,12 @@ def _estimated(
     return MocapScan(name, estimate, markers, frame, returns)
 
 
-def _of_vertices(frame: Mapping[str, Floats], names: Sequence[str]) -> Floats:
+def of_vertices(frame: Mapping[str, Floats], names: Sequence[str]) -> Floats:
     """Return the positions (n, 3) of the markers with these names, NaN where a name is empty."""
     return np.array([frame[name] if name else np.full(3, np.nan) for name in names])
 
 
-def _markers_of_vertices(mocap: Mocap, target: Target, path: Path) -> list[str]:
+def markers_of_vertices(mocap: Mocap, target: Target, path: Path) -> list[str]:
     """For each vertex the name of the marker near it, "" where there is none."""
     if mocap.vertices:
         names = [""] * len(target)

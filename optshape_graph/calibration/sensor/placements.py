@@ -176,10 +176,10 @@ def of_session(
             progress(k, len(session.views))
             wanted = targets or [session.targets[target] for target in view.targets]
             crop = view.target_points if use_target_points else None
-            scan = read_scan(crop or view.scan, sensor)
+            scan = read_scan(crop or view.cloud, sensor)
             found = list(_cropped(k, scan, wanted) if crop else _detected(k, scan, wanted))
             if not found:
-                left_out_views.append(f"{view.scan.name}: no board found")
+                left_out_views.append(f"{view.cloud.name}: no board found")
             yield from found
 
     return gather(seen()), left_out_views

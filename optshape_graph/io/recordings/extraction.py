@@ -78,7 +78,8 @@ class Extraction(Value):
     @property
     def passed_over(self) -> PassedOver:
         """What of the streams was not used."""
-        return PassedOver(*({f"messages of {name}": n for name, n in of.items()} for of in (self.skipped, self.unused)))
+        of = [{f"messages of {name}": Counter(n) for name, n in by.items()} for by in (self.skipped, self.unused)]
+        return PassedOver(*of)
 
 
 def estimate_mocap_offset(

@@ -6,8 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from optshape_graph.calibration.camera.calibrate import calibrate
-from optshape_graph.calibration.camera.export import kalibr_camchain
-from optshape_graph.calibration.camera.static_transforms import static_transforms
+from optshape_graph.calibration.exports import kalibr_camchain, static_transforms
 from optshape_graph.errors import InputError
 from optshape_graph.io import load_camera
 from optshape_graph.io.documents import write_json, write_yaml
@@ -43,7 +42,7 @@ def test_json_has_the_stated_keys(calibration, tmp_path):
 
 
 def test_camchain_reads_back(calibration, tmp_path):
-    chain = kalibr_camchain(calibration)
+    chain = kalibr_camchain(calibration.mounted())
     extrinsic = chain["cam0"]["T_cam_lidar"]
     assert np.allclose(extrinsic, calibration.transform("cam", "lidar")[0])
     write_yaml(tmp_path / "camchain.yaml", chain)
@@ -59,7 +58,7 @@ def test_camchain_reads_back(calibration, tmp_path):
 def test_camchain_has_kalibrs_models(calibration, D, model, coefficients):
     """Kalibr knows four terms, or none."""
     rig = replace(calibration.rig, cameras={"cam": replace(PINHOLE, D=np.array(D, float))})
-    entry = kalibr_camchain(replace(calibration, rig=rig))["cam0"]
+    entry = kalibr_camchain(replace(calibration, rig=rig).mounted())["cam0"]
     assert entry["distortion_model"] == model
     assert entry["distortion_coeffs"] == coefficients
 
@@ -67,7 +66,7 @@ def test_camchain_has_kalibrs_models(calibration, D, model, coefficients):
 def test_camchain_refuses_what_kalibr_has_not(calibration):
     rig = replace(calibration.rig, cameras={"cam": replace(PINHOLE, D=np.array([-0.2, 0.1, 0, 0, 0.05]))})
     with pytest.raises(InputError, match="camera 'cam': 5 distortion terms; Kalibr's radtan model has"):
-        kalibr_camchain(replace(calibration, rig=rig))
+        kalibr_camchain(replace(calibration, rig=rig).mounted())
 
 
 def test_json_says_what_the_targets_and_lenses_are(calibration):

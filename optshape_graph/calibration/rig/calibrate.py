@@ -1,0 +1,318 @@
+"""Calibration of a rig: any sensors that targets connect, in one graph, and judged by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from optshape_graph._arrays import Floats
+from optshape_graph.calibration.camera.lens import LensCheck, check_lenses
+from optshape_graph.calibration.camera.noise import noise_factors, scaled
+from optshape_graph.calibration.camera.sightings import TargetInScan
+from optshape_graph.calibration.images.reading import TargetInImage
+from optshape_graph.calibration.rig.discrepancy import settled
+from optshape_graph.calibration.rig.graph import Options, RigGraph, RigSolution
+from optshape_graph.calibration.rig.judgement import (
+    check_numbers,
+    doubts,
+    judge,
+    middle_of,
+    moved_targets,
+    scatter_of,
+    widening,
+)
+from optshape_graph.calibration.rig.left_out import Off, left_out
+from optshape_graph.calibration.rig.moving import Clocks, connect, solve_moving
+from optshape_graph.calibration.rig.next_placement import suggest_placement
+from optshape_graph.calibration.rig.reading import Read, read_sightings
+from optshape_graph.calibration.rig.result import DISAGREES, RigCalibration, RigSensor, RingError, SightingResult
+from optshape_graph.calibration.rig.sightings import Kind, Sighting
+from optshape_graph.calibration.rig.start import Start, connected_by, find_start
+from optshape_graph.calibration.verdict import Finding
+from optshape_graph.errors import EstimationError
+from optshape_graph.factors import RANGE_BIAS
+from optshape_graph.io.passed_over import PassedOver
+from optshape_graph.io.sessions import About, Session, load_session
+from optshape_graph.runs.kept import Kept
+from optshape_graph.se3 import adjoint, difference, inverse
+
+LIMIT = 35.0
+"""Chi-square of a sighting, six degrees of freedom, beyond which it contradicts the others."""
+
+LIKELY = 0.5
+"""Share of the limit within which a sighting that was left out agrees after all."""
+
+SLACK = np.diag([np.radians(1.0) ** 2] * 3 + [0.01**2] * 3)
+"""Covariance that stands for what a sighting's own leaves out, its rings' errors among it."""
+
+Progress = Callable[[int, int], None]
+"""Called with how many files are done, and how many there are."""
+
+
+def calibrate_rig(
+    session: str | Path | Session,
+    *,
+    use_target_points: bool = False,
+    range_bias_sigma: float = Options.range_bias_sigma,
+    progress: Progress | None = None,
+    kept: Kept | None = None,
+) -> RigCalibration:
+    """Calibrate where a session's LiDARs, cameras and motion-capture bodies are to one another.
+
+    Views of one stamp see one scene. Sensors need not overlap: each needs a target that it saw in one place with a
+    sensor that is connected; or, on a platform that moves, targets that stay.
+
+    Args:
+        session: its file, or what `load_session` returned.
+        use_target_points: take the targets' returns from the views' manual crops.
+        range_bias_sigma: standard deviation of a range bias that all rings of a LiDAR have alike, metres, beside what
+            its sensor file says of each ring's own.
+        progress: called with how many images and scans are done, and how many there are.
+        kept: what a run that was stopped found in scans and images, and this one finds (`runs.kept.keeping`); None: it
+            is not kept.
+
+    Raises:
+        InputError: a session that can't be read or used as it is.
+        EstimationError: no target was found, there is one placement only, or the views contradict each other.
+        UnobservableError: nothing connects some sensor with the others; it is named.
+    """
+    loaded = session if isinstance(session, Session) else load_session(session)
+    passed_over = PassedOver()
+    read = read_sightings(loaded, use_target_points, progress, passed_over, kept)
+    result = calibrate(read, loaded, Options(range_bias_sigma))
+    return replace(result, passed_over=passed_over)
+
+
+def calibrate(read: Read, session: Session, options: Options | None = None) -> RigCalibration:
+    """Calibrate a rig from what its sensors saw.
+
+    Args:
+        read: the sightings.
+        session: what else is said of them: the names of its sensors, and whether the platform moves.
+        options: what is assumed; None: as by default.
+
+    Raises:
+        EstimationError: there is one placement only, or the views contradict each other.
+        UnobservableError: nothing connects some sensor with the others.
+    """
+    sightings, findings = _with_pixel_noise(read.sightings), list[Finding]()
+    check_numbers(sightings, str(session.path))
+    lenses = check_lenses(s.seen for s in sightings if isinstance(s.seen, TargetInImage))
+    findings += _of_lenses(lenses)
+    moving = [sighting for sighting in sightings if sighting.moving]
+    still = [sighting for sighting in sightings if not sighting.moving]
+    if not session.platform_moves:
+        still, moved = moved_targets(still)
+        findings += moved
+    # Clocks are told against that of a sensor that saw something move.
+    base = moving[0].sensor if moving and all(s.sensor != read.sensors[0] for s in moving) else read.sensors[0]
+    sensors = (base, *(name for name in read.sensors if name != base))
+    places, offsets = _about(base, session.initial), dict[str, float]()
+    if moving:
+        seen_still = {base, *(s.sensor for s in still)}
+        if len(seen_still) > 1:
+            places = connected_by(still, base, places, session.platform_moves)
+        places, offsets, moving = connect(moving, base, places)
+    start = find_start(still, base, places, session.platform_moves, sensors)
+    options = options or Options()
+    graph = RigGraph(start, base, options, free_lenses=frozenset(lens.camera for lens in lenses if lens.contradicted))
+    left, clocks = dict[int, str](), Clocks()
+    if moving:
+        solved, clocks = solve_moving(graph, moving, offsets)
+    else:
+        solved, left = _robustly(graph)
+    scatter, freedom = scatter_of(solved)
+    uncorrected = replace(solved.graph, options=replace(options, as_they_come=True), loss=np.inf, discrepancy={})
+    as_they_come = settled(uncorrected, set(solved.chi2), solved.solution.values)
+    result = RigCalibration(
+        sensors=tuple(_sensor(name, session, solved, as_they_come, clocks) for name in sensors),
+        covariance=_covariance(solved, sensors, widening(scatter, freedom)),
+        time_covariance=_time_covariance(sensors, clocks),
+        middle=middle_of(solved.graph.start.sightings, start.T_base_sensor),
+        scatter=scatter,
+        sightings=_results(solved.graph.start, solved, left),
+        unobservable=tuple(direction.text for direction in solved.solution.unobservable),
+        next_placement=None,
+        findings=tuple(findings),
+    )
+    result = replace(result, next_placement=suggest_placement(result, solved, _information(solved)))
+    used = [solved.graph.start.sightings[number] for number in solved.chi2]
+    return replace(result, findings=(*findings, *judge(result, doubts(used), freedom)))
+
+
+def _with_pixel_noise(sightings: Sequence[Sighting]) -> list[Sighting]:
+    """Scale the pixels' noise of each camera to what is left when every image is fitted by itself."""
+    factors = noise_factors([s.seen for s in sightings if isinstance(s.seen, TargetInImage)])
+    return [
+        replace(s, seen=scaled(s.seen, factors[s.sensor])) if isinstance(s.seen, TargetInImage) else s
+        for s in sightings
+    ]
+
+
+def _of_lenses(lenses: Sequence[LensCheck]) -> list[Finding]:
+    return [
+        Finding(
+            f"the images of '{lens.camera}' contradict its lens as given ({lens.rms_px:.2f} px, "
+            f"{lens.refined_rms_px:.2f} with another): it was refined, and the result belongs to the refined lens",
+            False,
+        )
+        for lens in lenses
+        if lens.contradicted
+    ]
+
+
+def _about(base: str, initial: Sequence[About]) -> dict[str, Floats]:
+    """T_base_sensor (4, 4) of the sensors that the session says enough of."""
+    found, before = {base: np.eye(4)}, 0
+    while len(found) > before:
+        before = len(found)
+        for about in initial:
+            if about.a in found and about.b not in found:
+                found[about.b] = found[about.a] @ about.T_a_b
+            elif about.b in found and about.a not in found:
+                found[about.a] = found[about.b] @ inverse(about.T_a_b)
+    del found[base]
+    return found
+
+
+def _robustly(graph: RigGraph) -> tuple[RigSolution, dict[int, str]]:
+    """Solve, leave out the worst sighting or take in those that turn out to agree, until nothing changes.
+
+    Returns:
+        The solution, and why sightings take no part, by number.
+    """
+    sightings = graph.start.sightings
+    used = _shared(graph, set(range(len(sightings))) - graph.start.strangers)
+    why = dict.fromkeys(graph.start.strangers, "")
+    values, tried = None, False
+    for _ in range(2 * len(sightings) + 2):
+        _check_sensors(graph, used)
+        solved = settled(graph, used, values)
+        values = solved.solution.values
+        scatter = max(1.0, scatter_of(solved)[0])
+        worst = max(solved.chi2, key=lambda number: solved.chi2[number])
+        if solved.chi2[worst] > LIMIT * scatter:
+            why[worst] = ""
+            used = _shared(graph, used - {worst})
+            continue
+        agreeing = set() if tried else {n for n in why if _distance(solved, n) < LIKELY * LIMIT * scatter}
+        if not agreeing:
+            break
+        why = {n: reason for n, reason in why.items() if n not in agreeing}
+        used, tried = used | agreeing, True
+    return solved, {number: _disagreement(solved, number) for number in why}
+
+
+def _shared(graph: RigGraph, used: set[int]) -> set[int]:
+    """Leave out sightings that have nothing to be compared with."""
+    if graph.moments:
+        return used
+    sensors: dict[str, set[str]] = {}
+    for number in used:
+        sighting = graph.start.sightings[number]
+        sensors.setdefault(sighting.placement, set()).add(sighting.sensor)
+    return {number for number in used if len(sensors[graph.start.sightings[number].placement]) > 1}
+
+
+def _check_sensors(graph: RigGraph, used: set[int]) -> None:
+    seeing = {graph.start.sightings[number].sensor for number in used}
+    if missing := [name for name in graph.start.T_base_sensor if name not in seeing]:
+        raise EstimationError(f"no view of {', '.join(missing)} agrees with those of the other sensors")
+
+
+def _predicted(solved: RigSolution, number: int) -> Floats | None:
+    """Where a sensor should see a target (4, 4); None where no other sensor tells."""
+    sighting, graph = solved.graph.start.sightings[number], solved.graph
+    values = solved.solution.values
+    keys = [graph.placements[sighting.placement]]
+    if sighting.moment in graph.moments:
+        keys.append(graph.moments[sighting.moment])
+    if not all(values.exists(key) for key in keys):
+        return None
+    T_base_target = solved.solution.pose(keys[0])
+    if len(keys) > 1:
+        T_base_target = inverse(solved.solution.pose(keys[1])) @ T_base_target
+    return inverse(solved.T_base_sensor(sighting.sensor)) @ T_base_target
+
+
+def _distance(solved: RigSolution, number: int) -> float:
+    """Squared distance of a sighting from where it should be, in standard deviations; infinite: nowhere."""
+    predicted, sighting = _predicted(solved, number), solved.graph.start.sightings[number]
+    if predicted is None:
+        return np.inf
+    x = difference(sighting.pose, predicted)
+    return float(x @ np.linalg.solve(sighting.candidates[sighting.reading].covariance + SLACK, x))
+
+
+def _disagreement(solved: RigSolution, number: int) -> str:
+    predicted, sighting = _predicted(solved, number), solved.graph.start.sightings[number]
+    if predicted is None:
+        return f"{DISAGREES}the only other sensor that saw the placement"
+    x = difference(predicted, sighting.pose)
+    moved = f": did '{sighting.target.name}' move?" if "@" not in sighting.placement else ""
+    return (
+        f"{DISAGREES}the others by {np.linalg.norm(x[3:]):.3f} m and {np.degrees(np.linalg.norm(x[:3])):.1f} deg{moved}"
+    )
+
+
+def _sensor(name: str, session: Session, solved: RigSolution, as_they_come: RigSolution, clocks: Clocks) -> RigSensor:
+    used = [s for number in solved.chi2 if (s := solved.graph.start.sightings[number]).sensor == name]
+    kind: Kind = "lidar" if name in session.lidars else "camera" if name in session.cameras else "mocap body"
+    errors = solved.ring_errors(name) if any(isinstance(s.seen, TargetInScan) for s in used) else {}
+    lens = next((solved.lens(s.seen.camera) for s in used if isinstance(s.seen, TargetInImage)), None)
+    # In the graph a range bias is what is to be added to a range.
+    rings = tuple(
+        RingError(error.kind, error.ring, -value if error.kind == RANGE_BIAS else value, sigma)
+        for error, (value, sigma) in sorted(errors.items(), key=lambda item: (item[0].kind, item[0].ring or -1))
+    )
+    T, T_come = solved.T_base_sensor(name), as_they_come.T_base_sensor(name)
+    return RigSensor(name, kind, T, T_come, clocks.offsets.get(name, 0.0), len(used), rings, lens)
+
+
+def _covariance(solved: RigSolution, sensors: Sequence[str], factor: float) -> Floats:
+    """Joint covariance of the right perturbations of T_base_sensor of all but the base.
+
+    What is not observable has that of a vanishing prior: a kilometre, or a thousand turns.
+    """
+    keys = [solved.graph.sensors[name] for name in sensors[1:]]
+    return factor * solved.solution.system.covariance(keys)
+
+
+def _time_covariance(sensors: Sequence[str], clocks: Clocks) -> Floats:
+    """Covariance of the offsets of all but the base; 0 where they are not told."""
+    covariance = np.zeros((len(sensors) - 1,) * 2)
+    places = [sensors.index(name) - 1 for name in clocks.names]
+    covariance[np.ix_(places, places)] = clocks.covariance
+    return covariance
+
+
+def _results(start: Start, solved: RigSolution, left: Mapping[int, str]) -> tuple[SightingResult, ...]:
+    off = left_out(solved)
+    results = []
+    for number, sighting in enumerate(start.sightings):
+        reason = left.get(number, "" if number in solved.chi2 else "no other sighting of the placement is left")
+        results.append(_result(sighting, number in solved.chi2, reason, off.get(number)))
+    alone = "no other sensor saw the placement"
+    return (*results, *(_result(sighting, False, alone, None) for sighting in start.alone))
+
+
+def _result(sighting: Sighting, used: bool, reason: str, off: Off | None) -> SightingResult:
+    numbers = (None, None, None) if off is None else (off.centre_m, off.turn_deg, off.chi_square)
+    return SightingResult(
+        sighting.sensor, sighting.target.name, sighting.placement, sighting.file, used, reason, *numbers
+    )
+
+
+def _information(solved: RigSolution) -> dict[int, Floats]:
+    """Of each sighting, by number, the information (6, 6) on its own T_sensor_target, right perturbation."""
+    found = {}
+    for number, link in solved.linked.items():
+        R = link.by_pose
+        sighting = solved.graph.start.sightings[number]
+        if sighting.relative:  # (T Exp(x))^-1 = T^-1 Exp(-Ad(T) x)
+            R = R @ adjoint(sighting.pose)
+        found[number] = R.T @ R
+    return found

@@ -1,0 +1,210 @@
+"""What a rig's calibration says about itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.stats import chi2
+
+from optshape_graph._arrays import Floats
+from optshape_graph.calibration.camera.sightings import TargetInScan
+from optshape_graph.calibration.rig.graph import RigSolution
+from optshape_graph.calibration.rig.result import RigCalibration, RingError
+from optshape_graph.calibration.rig.sightings import Sighting
+from optshape_graph.calibration.verdict import Finding, of_doubts
+from optshape_graph.errors import EstimationError
+from optshape_graph.se3 import angle, difference, inverse
+
+FEWEST, ENOUGH = 3, 8
+"""Placements that a sensor must share with others, and from which the result is not worth a warning."""
+
+SURE = 1e-3
+"""Probability by chance below which sightings scatter more than they should."""
+
+GRAVE_SCATTER = 9.0
+"""Mean square of what sightings are off by, in their standard deviations, from which something is wrong."""
+
+GRAVE_SHARE = 1 / 3
+"""Share of the sightings left out, from which the rest is not to be trusted."""
+
+LOOSE = 0.1
+"""Standard deviation of a pair's worst direction, metres, or rad times the targets' distance, that is grave."""
+
+FOREIGN = 4.0
+"""Mean square of a LiDAR's ring errors, in what its sensor file lets expect, from which the file is another's."""
+
+MOVED = (0.02, 40.0)
+"""Distance, metres, and squared distance in standard deviations by which a target that stays has moved at least."""
+
+
+def scatter_of(solved: RigSolution) -> tuple[float, int]:
+    """Return the mean square of what sightings are off by, in their standard deviations, and its degrees of freedom."""
+    graph = solved.graph
+    still = [n for n in solved.chi2 if n not in graph.twists]
+    placements = {graph.start.sightings[n].placement for n in still}
+    freedom = 6 * (len(still) - len(placements) - len(graph.sensors) - len(graph.moments))
+    if freedom <= 0:  # what moves is smoothed, and by how much was estimated
+        return 1.0, 1
+    return sum(solved.chi2[n] for n in still) / freedom, freedom
+
+
+def widening(scatter: float, freedom: int) -> float:
+    """Return the factor on the covariance: what sightings scatter by, where that is more than chance."""
+    return scatter if chi2.sf(scatter * freedom, freedom) < SURE else 1.0
+
+
+def judge(calibration: RigCalibration, doubts: Sequence[str], freedom: int) -> tuple[Finding, ...]:
+    """Say what is wrong, or has to be known before trusting the result.
+
+    Args:
+        calibration: with everything but its findings.
+        doubts: why returns do not fit their target, of every scan used.
+        freedom: degrees of freedom of its scatter.
+    """
+    findings = [Finding(f"not observable: {text}", True) for text in calibration.unobservable]
+    findings += [*_of_numbers(calibration), *_of_pairs(calibration), *of_doubts(doubts), *_of_rings(calibration)]
+    if contradicting := calibration.contradicting:
+        first = contradicting[0]
+        text = f"{len(contradicting)} of {len(calibration.sightings)} sightings contradict the others and take no part"
+        grave = len(contradicting) > GRAVE_SHARE * len(calibration.sightings)
+        findings.append(Finding(f"{text}; the first: '{first.sensor}' in {first.file}: {first.reason}", grave))
+    if widening(calibration.scatter, freedom) > 1:
+        text = (
+            f"sightings are off by {np.sqrt(calibration.scatter):.1f} of their standard deviations, root mean square: "
+            "the covariances are widened by that"
+        )
+        findings.append(Finding(text, calibration.scatter > GRAVE_SCATTER))
+    return tuple(findings)
+
+
+def _of_numbers(calibration: RigCalibration) -> list[Finding]:
+    """Say which sensors share few placements with others."""
+    findings = []
+    sensors: dict[str, set[str]] = {}
+    for sighting in calibration.sightings:
+        if sighting.used:
+            sensors.setdefault(sighting.placement, set()).add(sighting.sensor)
+    for name in calibration.names:
+        shared = sum(name in others for others in sensors.values())
+        if shared < ENOUGH:
+            text = f"'{name}' saw {shared} placements that take part; {ENOUGH} at least are wanted, turned freely"
+            findings.append(Finding(text, shared < FEWEST))
+    return findings
+
+
+def _of_pairs(calibration: RigCalibration) -> list[Finding]:
+    base = calibration.names[0]
+    findings = []
+    for name in calibration.names[1:]:
+        worst = calibration.directions(base, name)[0]
+        if worst.sigma_m > LOOSE:
+            findings.append(Finding(f"'{name}' against '{base}' is hardly known: {worst.text} (sd)", True))
+    return findings
+
+
+def _of_rings(calibration: RigCalibration) -> list[Finding]:
+    """Say which LiDARs' rings are off by far more than their sensor files let expect."""
+    findings = []
+    for sensor in calibration.sensors:
+        for kind in dict.fromkeys(ring.kind for ring in sensor.rings):
+            square, rings = _square([ring for ring in sensor.rings if ring.kind == kind])
+            if rings >= 3 and square > FOREIGN:
+                text = (
+                    f"errors of {kind} of '{sensor.name}' are {np.sqrt(square):.1f} times as large as its sensor file "
+                    "lets expect: is it the file of this model?"
+                )
+                findings.append(Finding(text, square > FOREIGN**2))
+    return findings
+
+
+def _square(rings: Sequence[RingError]) -> tuple[float, int]:
+    """Mean of the squares of errors that the session tells, their own uncertainty taken off, and their number."""
+    known = [ring for ring in rings if ring.sigma < 0.7]
+    return (float(np.mean([ring.value**2 for ring in known])) if known else 0.0), len(known)
+
+
+def check_numbers(sightings: Sequence[Sighting], where: str) -> None:
+    """Raise if there is one placement only, or if a sensor saw what moves at other times than all others.
+
+    Raises:
+        EstimationError: one placement, or none; or stamps that never meet.
+    """
+    placements = dict.fromkeys((s.placement, s.moment) for s in sightings)
+    if len(placements) < 2:
+        seen = f"one placement only ({sightings[0].file})" if sightings else "no target seen"
+        raise EstimationError(f"{where}: {seen}; a rig calibration needs two at least, and ten to be trusted")
+    times: dict[str, list[float]] = {}
+    for sighting in sightings:
+        if sighting.moving and sighting.time is not None:
+            times.setdefault(sighting.sensor, []).append(sighting.time)
+    for name, own in times.items():
+        others = [time for other, found in times.items() if other != name for time in found]
+        if others and (min(own) > max(others) or max(own) < min(others)):
+            raise EstimationError(
+                f"{where}: the stamps of '{name}' run from {min(own):.3f} to {max(own):.3f} s, those of others from "
+                f"{min(others):.3f} to {max(others):.3f} s: of another clock?"
+            )
+
+
+def moved_targets(sightings: Sequence[Sighting]) -> tuple[list[Sighting], list[Finding]]:
+    """Find targets that were said to stay and moved, on a platform that stands still.
+
+    Returns:
+        The sightings, those of a target after it moved being of another placement; and what was found.
+    """
+    tracks: dict[tuple[str, str], list[Sighting]] = {}
+    for sighting in sightings:
+        tracks.setdefault((sighting.placement, sighting.sensor), []).append(sighting)
+    broken: dict[str, dict[int, str]] = {}
+    for (placement, sensor), track in tracks.items():
+        moments = {s.moment: s for s in sorted(track, key=lambda s: s.moment)}
+        for before, after in pairwise(moments.values()):
+            distance, turn, square = _apart(before, after)
+            if distance > MOVED[0] and square > MOVED[1]:
+                text = (
+                    f"target '{placement}' was said to stay, but moved by {distance:.3f} m and {turn:.1f} deg between "
+                    f"{before.file} and {after.file} ('{sensor}'); from there on it is taken for placed anew"
+                )
+                broken.setdefault(placement, {}).setdefault(after.moment, text)
+    if not broken:
+        return list(sightings), []
+    split = [_split(sighting, broken.get(sighting.placement, {})) for sighting in sightings]
+    return split, [Finding(text, False) for texts in broken.values() for text in texts.values()]
+
+
+def _split(sighting: Sighting, moments: Mapping[int, str]) -> Sighting:
+    times = sum(moment <= sighting.moment for moment in moments)
+    return replace(sighting, placement=f"{sighting.placement}#{times + 1}") if times else sighting
+
+
+def _apart(a: Sighting, b: Sighting) -> tuple[float, float, float]:
+    """How far a target is from where it was, metres, degrees, and squared in standard deviations."""
+    A, B = a.candidates[0], b.candidates[0]
+    T = B.T_sensor_target
+    if a.relative:
+        T = a.target.nearest_equivalent(T, A.T_sensor_target)
+    else:
+        T = min(b.poses, key=lambda pose: float(angle(inverse(A.T_sensor_target) @ pose)))
+    x = difference(A.T_sensor_target, T)
+    # What is the LiDAR's own, both have; a centimetre and a degree stand for what their covariances leave out.
+    total = A.covariance + B.covariance + np.diag([np.radians(1.0) ** 2] * 3 + [0.01**2] * 3)
+    return float(np.linalg.norm(x[3:])), float(np.degrees(np.linalg.norm(x[:3]))), float(x @ np.linalg.solve(total, x))
+
+
+def doubts(sightings: Sequence[Sighting]) -> list[str]:
+    """Return why returns do not fit their target, of every scan; "" where they do."""
+    return [s.seen.doubt for s in sightings if isinstance(s.seen, TargetInScan)]
+
+
+def middle_of(sightings: Sequence[Sighting], T_base_sensor: Mapping[str, Floats]) -> Floats:
+    """Return the mean distance of targets ahead of where most of them are (3,), metres, the base's frame.
+
+    Targets all around have their mean near the sensors themselves: then the nearest to it that is as far as they are.
+    """
+    centres = np.array([(T_base_sensor[s.sensor] @ s.pose)[:3, 3] for s in sightings])
+    mean, distance = centres.mean(axis=0), float(np.median(np.linalg.norm(centres, axis=1)))
+    length = float(np.linalg.norm(mean))
+    return np.asarray(mean if length > 0.5 * distance else mean * distance / max(length, 1e-9))
