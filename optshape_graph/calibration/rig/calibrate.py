@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.lens import LensCheck, check_lenses
 from optshape_graph.calibration.camera.noise import noise_factors, scaled
 from optshape_graph.calibration.camera.sightings import TargetInScan
@@ -17,6 +17,7 @@ from optshape_graph.calibration.rig.discrepancy import settled
 from optshape_graph.calibration.rig.graph import Options, RigGraph, RigSolution
 from optshape_graph.calibration.rig.judgement import (
     check_numbers,
+    check_sensors,
     doubts,
     judge,
     middle_of,
@@ -94,8 +95,57 @@ def calibrate(read: Read, session: Session, options: Options | None = None) -> R
         EstimationError: there is one placement only, or the views contradict each other.
         UnobservableError: nothing connects some sensor with the others.
     """
+    rig = solve_rig(read, session, options or Options())
+    solved, sensors = rig.solved, rig.sensors
+    start = solved.graph.start
+    scatter, freedom = scatter_of(solved)
+    as_they_come = settled(rig.graph_as_they_come, set(solved.chi2), solved.solution.values)
+    result = RigCalibration(
+        sensors=tuple(_sensor(name, session, solved, as_they_come, rig.clocks) for name in sensors),
+        covariance=_covariance(solved, sensors, widening(scatter, freedom)),
+        time_covariance=_time_covariance(sensors, rig.clocks),
+        middle=middle_of(start.sightings, start.T_base_sensor),
+        scatter=scatter,
+        sightings=_results(start, solved, rig.left),
+        unobservable=tuple(direction.text for direction in solved.solution.unobservable),
+        next_placement=None,
+        findings=rig.findings,
+    )
+    result = replace(result, next_placement=suggest_placement(result, solved, _information(solved)))
+    used = [start.sightings[number] for number in solved.chi2]
+    return replace(result, findings=(*rig.findings, *judge(result, doubts(used), freedom)))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SolvedRig(Value):
+    """A rig's graph, solved.
+
+    Attributes:
+        sensors: names, the base first.
+        solved: the graph, with the sightings that take part.
+        left: why the others do not, by number.
+        clocks: what is known of the sensors'.
+        findings: what was seen on the way.
+    """
+
+    sensors: tuple[str, ...]
+    solved: RigSolution
+    left: Mapping[int, str]
+    clocks: Clocks
+    findings: tuple[Finding, ...]
+
+    @property
+    def graph_as_they_come(self) -> RigGraph:
+        """The graph for clouds whose rings nobody corrects."""
+        graph = self.solved.graph
+        return replace(graph, options=replace(graph.options, as_they_come=True), discrepancy={})
+
+
+def solve_rig(read: Read, session: Session, options: Options) -> SolvedRig:
+    """Connect a rig's sensors, and solve its graph; see `calibrate`."""
     sightings, findings = _with_pixel_noise(read.sightings), list[Finding]()
     check_numbers(sightings, str(session.path))
+    check_sensors(read, str(session.path))
     lenses = check_lenses(s.seen for s in sightings if isinstance(s.seen, TargetInImage))
     findings += _of_lenses(lenses)
     moving = [sighting for sighting in sightings if sighting.moving]
@@ -108,35 +158,27 @@ def calibrate(read: Read, session: Session, options: Options | None = None) -> R
     sensors = (base, *(name for name in read.sensors if name != base))
     places, offsets = _about(base, session.initial), dict[str, float]()
     if moving:
-        seen_still = {base, *(s.sensor for s in still)}
-        if len(seen_still) > 1:
+        if still:
             places = connected_by(still, base, places, session.platform_moves)
         places, offsets, moving = connect(moving, base, places)
     start = find_start(still, base, places, session.platform_moves, sensors)
-    options = options or Options()
     graph = RigGraph(start, base, options, free_lenses=frozenset(lens.camera for lens in lenses if lens.contradicted))
-    left, clocks = dict[int, str](), Clocks()
     if moving:
         solved, clocks = solve_moving(graph, moving, offsets)
-    else:
-        solved, left = _robustly(graph)
-    scatter, freedom = scatter_of(solved)
-    uncorrected = replace(solved.graph, options=replace(options, as_they_come=True), loss=np.inf, discrepancy={})
-    as_they_come = settled(uncorrected, set(solved.chi2), solved.solution.values)
-    result = RigCalibration(
-        sensors=tuple(_sensor(name, session, solved, as_they_come, clocks) for name in sensors),
-        covariance=_covariance(solved, sensors, widening(scatter, freedom)),
-        time_covariance=_time_covariance(sensors, clocks),
-        middle=middle_of(solved.graph.start.sightings, start.T_base_sensor),
-        scatter=scatter,
-        sightings=_results(solved.graph.start, solved, left),
-        unobservable=tuple(direction.text for direction in solved.solution.unobservable),
-        next_placement=None,
-        findings=tuple(findings),
-    )
-    result = replace(result, next_placement=suggest_placement(result, solved, _information(solved)))
-    used = [solved.graph.start.sightings[number] for number in solved.chi2]
-    return replace(result, findings=(*findings, *judge(result, doubts(used), freedom)))
+        return SolvedRig(sensors, solved, {}, clocks, tuple(findings))
+    solved, left = _robustly(graph)
+    return SolvedRig(sensors, solved, left, Clocks(), (*findings, *_of_discrepancies(solved)))
+
+
+def _of_discrepancies(solved: RigSolution) -> list[Finding]:
+    return [
+        Finding(
+            f"the scans of '{name}' are off by more than its sensor file lets expect: by {found.translation * 1e3:.1f} mm "
+            f"and {np.degrees(found.rotation):.2f} deg more (sd), which the covariances allow for",
+            False,
+        )
+        for name, found in solved.graph.discrepancy.items()
+    ]
 
 
 def _with_pixel_noise(sightings: Sequence[Sighting]) -> list[Sighting]:

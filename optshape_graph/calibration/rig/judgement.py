@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.rig.graph import RigSolution
+from optshape_graph.calibration.rig.reading import Read
 from optshape_graph.calibration.rig.result import RigCalibration, RingError
 from optshape_graph.calibration.rig.sightings import Sighting
 from optshape_graph.calibration.verdict import Finding, of_doubts
@@ -124,6 +125,19 @@ def _square(rings: Sequence[RingError]) -> tuple[float, int]:
     """Mean of the squares of errors that the session tells, their own uncertainty taken off, and their number."""
     known = [ring for ring in rings if ring.sigma < 0.7]
     return (float(np.mean([ring.value**2 for ring in known])) if known else 0.0), len(known)
+
+
+def check_sensors(read: Read, where: str) -> None:
+    """Raise if a sensor saw no target at all.
+
+    Raises:
+        EstimationError: names it, and says why its first view shows none.
+    """
+    seeing = {sighting.sensor for sighting in read.sightings}
+    for name in read.sensors:
+        if name not in seeing:
+            why = next((text for sensor, _, text in read.problems if sensor == name), "no view is of it")
+            raise EstimationError(f"{where}: '{name}' saw no target: {why}")
 
 
 def check_numbers(sightings: Sequence[Sighting], where: str) -> None:
