@@ -20,7 +20,7 @@ from optshape_graph.errors import EstimationError
 from optshape_graph.se3 import angle, difference, inverse
 
 FEWEST, ENOUGH = 3, 8
-"""Placements that a sensor must share with others, and from which the result is not worth a warning."""
+"""Sightings that a sensor must have, and from which the result is not worth a warning."""
 
 SURE = 1e-3
 """Probability by chance below which sightings scatter more than they should."""
@@ -82,17 +82,12 @@ def judge(calibration: RigCalibration, doubts: Sequence[str], freedom: int) -> t
 
 
 def _of_numbers(calibration: RigCalibration) -> list[Finding]:
-    """Say which sensors share few placements with others."""
+    """Say which sensors have few sightings that take part."""
     findings = []
-    sensors: dict[str, set[str]] = {}
-    for sighting in calibration.sightings:
-        if sighting.used:
-            sensors.setdefault(sighting.placement, set()).add(sighting.sensor)
-    for name in calibration.names:
-        shared = sum(name in others for others in sensors.values())
-        if shared < ENOUGH:
-            text = f"'{name}' saw {shared} placements that take part; {ENOUGH} at least are wanted, turned freely"
-            findings.append(Finding(text, shared < FEWEST))
+    for sensor in calibration.sensors:
+        if sensor.sightings < ENOUGH:
+            text = f"{sensor.sightings} sightings of '{sensor.name}' take part; {ENOUGH} are wanted, turned freely"
+            findings.append(Finding(text, sensor.sightings < FEWEST))
     return findings
 
 

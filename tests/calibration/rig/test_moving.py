@@ -53,9 +53,7 @@ def test_the_clock_and_the_place_are_found(rig, sightings):
 
 def test_stamps_of_another_clock_are_named(rig, sightings):
     far = [replace(s, time=s.time + 1e5) if s.sensor == "left" else s for s in sightings]
-    with pytest.raises(
-        EstimationError, match=r"the stamps of 'front' run from .* to 1000\d\d\.\d+ s: of another clock"
-    ):
+    with pytest.raises(EstimationError, match=r"the stamps of 'front' run from .* to 1000\d\d.* of another clock"):
         calibrated(rig, far)
     near = [replace(s, time=s.time + 1.6) if s.sensor == "left" else s for s in sightings]
     with pytest.raises(UnobservableError, match="at no offset of their clocks within 1 s alike"):
