@@ -181,15 +181,6 @@ def _rig(document: Mapping[str, Any]) -> Verdict:
     return Verdict(_level(document["verdict"], warnings, placements), sentence, tuple(warnings))
 
 
-def _sensor(document: Mapping[str, Any]) -> Verdict:
-    warnings, count = [str(warning) for warning in document["warnings"]], len(document["placements"])
-    sentence = (
-        f"{len(document['rings'])} rings by {count} placements; those that take no part become likelier by "
-        f"{document['gain']:.1f} (logarithm)"
-    )
-    return Verdict(_level(document["verdict"], warnings, count), sentence, tuple(warnings))
-
-
 def _map(document: Mapping[str, Any]) -> Verdict:
     landmarks = document["landmarks"]
     if not landmarks:

@@ -214,7 +214,6 @@ TITLES = {
     "estimate": "Poses of a target",
     "detect": "Targets in full scans",
     "mocap": "Calibration of a LiDAR to motion capture",
-    "sensor-calibration": "Calibration of a LiDAR's rings",
     "camera-calibration": "Calibration of a LiDAR to a camera",
     "rig": "Calibration of a rig",
     "sensor-calibration": "Calibration of a LiDAR's rings",

@@ -39,8 +39,6 @@ def tables_of(document: Mapping[str, Any]) -> list[Table]:
         return [_poses("Landmarks", rows, "id")]
     if kind == "mocap":
         return [_mocap_scans(document), _transform("T_lidar_mocap", document["T_lidar_mocap"], document["covariance"])]
-    if kind == "sensor-calibration":
-        return [_rings(document)]
     if kind == "camera-calibration":
         return [
             _camera_views(document),
@@ -70,16 +68,6 @@ def _rig_sightings(document: Mapping[str, Any]) -> Table:
     ]  # fmt: skip
     columns = ("sensor", "target", "file", "used", "centre mm", "turn deg", "why not")
     return Table("Sightings, each placement predicted by the others", columns, tuple(rows))
-
-
-def _rings(document: Mapping[str, Any]) -> Table:
-    keys = ("range_bias_mm", "range_bias_sd_mm", "elevation_off_deg", "elevation_sd_deg", "before_mm", "after_mm")
-    rows = [
-        (str(one["ring"]), *("-" if one[key] is None else _number(one[key]) for key in keys))
-        for one in document["rings"]
-    ]
-    columns = ("ring", "range mm", "sd", "elevation deg", "sd", "off others mm, before", "after")
-    return Table("Rings, and how far their returns are off boards that took no part", columns, tuple(rows))
 
 
 def _mocap_scans(document: Mapping[str, Any]) -> Table:
