@@ -306,7 +306,6 @@ _JUDGES: dict[str, Callable[[Mapping[str, Any]], Verdict]] = {
     "sensor-calibration": _sensor,
     "camera-calibration": _camera,
     "rig": _rig,
-    "sensor-calibration": _sensor,
     "map": _map,
     "design-choice": _choice,
     "simulation-evaluation": _simulation,
