@@ -20,7 +20,7 @@ OF_INPUTS = frozenset({
 })  # fmt: skip
 """Endings of files that hold somebody's work: they are not written over unasked."""
 
-JOURNALED = ("estimate", "detect", "map", "mocap", "camera-calibration")
+JOURNALED = ("estimate", "detect", "map", "mocap", "camera-calibration", "rig", "sensor-calibration")
 """Forms that are kept beside their file until it is whole."""
 
 LEAST_ROOM = 1 << 20
