@@ -5,6 +5,7 @@
 # make bench          the benchmarks: ratios between two things measured in one run
 # make coverage       the lines that `make test` runs, and those that it does not
 # make leaderboard    four methods on the same clouds, into docs/leaderboard.md
+# make notebooks      run the notebooks, and store them with their pictures
 # make docs           the documentation, as a site in build/site
 # make release-check  wheel and sdist, the wheel tried in a fresh environment of every Python in PYTHONS
 #
@@ -13,12 +14,13 @@
 # make sbom           what is in the environment, as CycloneDX: build/sbom.json
 #
 # All set up what they need on a bare Debian or Ubuntu with Python 3.11 or newer, as root or with sudo (.ci/setup). To
-# choose: PYTHON=python3.13 VENV=/some/folder JOBS=4
+# choose: PYTHON=python3.13 VENV=/some/folder JOBS=4; of `latest`, TESTS="tests/io tests/pose" in place of all
 
 PYTHON ?=
 VENV ?= .venv
 JOBS ?= $(shell nproc 2>/dev/null || echo 2)
 FAULTS ?= 10
+TESTS ?=
 PYTHONS ?= $(VENV)/bin/python
 BIN := $(VENV)/bin
 
@@ -29,7 +31,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Folders of tests that need no simulation and no process of their own.
 QUICK := $(wildcard tests/test_*.py) $(addprefix tests/,factors graph io pose design runs docs/test_docstrings.py cli/test_lazy.py)
 
-.PHONY: demo check test faults bench leaderboard coverage docs release-check lock latest sbom
+.PHONY: demo check test faults bench leaderboard notebooks coverage docs release-check lock latest sbom
 
 demo: setup-plot
 	$(BIN)/optshape demo
@@ -55,11 +57,14 @@ bench: setup-test
 leaderboard: setup-test
 	$(BIN)/python -m tests.leaderboard
 
+notebooks: setup-test
+	$(BIN)/python -m tests.notebooks
+
 coverage: setup-test
 	$(BIN)/python -m pytest -n $(JOBS) -m "not benchmark" --cov --cov-report=term:skip-covered
 
 docs: setup-docs
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+	PYTHONPATH=docs $(BIN)/python -m zensical build --clean --strict
 
 release-check: setup-test
 	rm -rf build/dist
@@ -79,7 +84,7 @@ latest:
 	build/latest/bin/python .ci/latest > build/latest/wanted.txt
 	build/latest/bin/python -m pip install --quiet --upgrade pip -r build/latest/wanted.txt
 	build/latest/bin/python -m pip install --quiet --no-deps --editable .
-	build/latest/bin/python -m pytest -n $(JOBS) -m "not benchmark"
+	build/latest/bin/python -m pytest -n $(JOBS) -m "not benchmark" $(TESTS)
 
 sbom: setup-test setup-supply
 	mkdir -p build

@@ -53,7 +53,7 @@ def drive() -> Map:
             slam.add_odometry(0.0)
         before = T
         found = detect_targets(simulate(scene, sensor, T, noise=noise, rng=rng, range_bias=bias).scan, targets).found
-        slam.add_measurements([Sighting.of(one.estimate) for one in found])
+        slam.add_measurements([Sighting.of(one.estimate) for one in found if one.estimate.status == "ok"])
     return solve_batch(slam.problem()).map()
 
 

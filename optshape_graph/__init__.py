@@ -6,46 +6,40 @@ scan, `factors` makes GTSAM factors of estimates, `graph` solves several scans a
 `mapping` build on it.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from optshape_graph._lazy import lazy
 from optshape_graph.errors import EstimationError, InputError, MissingExtraError, OptshapeError, UnobservableError
-from optshape_graph.scan import Scan
-from optshape_graph.sensor import SensorModel
-from optshape_graph.target import Chessboard, Target
 
 if TYPE_CHECKING:
     from optshape_graph.calibration.camera import CameraCalibration, calibrate_camera
     from optshape_graph.calibration.mocap import MocapCalibration, calibrate_mocap
     from optshape_graph.calibration.rig import RigCalibration, calibrate_rig
+    from optshape_graph.calibration.sensor import SensorCalibration, calibrate_sensor
     from optshape_graph.detection import Detections, detect_targets
     from optshape_graph.io import load_sensor, load_session, load_target, read_scan
     from optshape_graph.mapping import Map, load_map, map_recording, save_map
     from optshape_graph.pose import PoseEstimate, estimate_pose
+    from optshape_graph.scan import Scan
+    from optshape_graph.sensor import SensorModel
+    from optshape_graph.target import Chessboard, Target
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "CameraCalibration": "calibration.camera",
-    "Detections": "detection",
-    "Map": "mapping",
-    "MocapCalibration": "calibration.mocap",
-    "PoseEstimate": "pose",
-    "RigCalibration": "calibration.rig",
-    "calibrate_camera": "calibration.camera",
-    "calibrate_mocap": "calibration.mocap",
-    "calibrate_rig": "calibration.rig",
-    "detect_targets": "detection",
-    "estimate_pose": "pose",
-    "load_map": "mapping",
-    "map_recording": "mapping",
-    "load_sensor": "io",
-    "load_session": "io",
-    "load_target": "io",
-    "read_scan": "io",
-    "save_map": "mapping",
+    "calibration.camera": "CameraCalibration calibrate_camera",
+    "calibration.mocap": "MocapCalibration calibrate_mocap",
+    "calibration.rig": "RigCalibration calibrate_rig",
+    "calibration.sensor": "SensorCalibration calibrate_sensor",
+    "detection": "Detections detect_targets",
+    "io": "load_sensor load_session load_target read_scan",
+    "mapping": "Map load_map map_recording save_map",
+    "pose": "PoseEstimate estimate_pose",
+    "scan": "Scan",
+    "sensor": "SensorModel",
+    "target": "Chessboard Target",
 }
-"""Names that are imported when they are first used, and the subpackage that each comes from."""
+"""Subpackages, and the names that are imported from them when they are first used."""
 
 __all__ = [
     "CameraCalibration",
@@ -60,6 +54,7 @@ __all__ = [
     "PoseEstimate",
     "RigCalibration",
     "Scan",
+    "SensorCalibration",
     "SensorModel",
     "Target",
     "UnobservableError",
@@ -67,6 +62,7 @@ __all__ = [
     "calibrate_camera",
     "calibrate_mocap",
     "calibrate_rig",
+    "calibrate_sensor",
     "detect_targets",
     "estimate_pose",
     "load_map",
@@ -78,14 +74,4 @@ __all__ = [
     "save_map",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'optshape_graph' has no attribute '{name}'")
-    found = getattr(import_module(f"optshape_graph.{_HOME[name]}"), name)
-    globals()[name] = found
-    return found
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOME})
+__getattr__, __dir__ = lazy(__name__, _HOME)

@@ -1,6 +1,6 @@
 """`python -m optshape_graph` is `optshape`."""
 
-from optshape_graph.cli.main import main
+from optshape_graph.cli.entry import main
 
 if __name__ == "__main__":
     main()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,8 +18,24 @@ LONGEST_REPR = 200
 
 
 def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
-    """Return a read-only copy of `values`, so that what a dataclass holds cannot change under it."""
+    """Return `values` as an array that nobody writes to: a copy, unless they are that already and own their memory."""
+    if isinstance(values, np.ndarray) and values.dtype == dtype and values.base is None and not values.flags.writeable:
+        return values
     array = np.array(values, dtype=dtype)
+    array.setflags(write=False)
+    return array
+
+
+@overload
+def owned(values: None, dtype: Any) -> None: ...
+@overload
+def owned(values: ArrayLike, dtype: Any) -> NDArray[Any]: ...
+def owned(values: ArrayLike | None, dtype: Any) -> NDArray[Any] | None:
+    """Return new values as a read-only array that `frozen` need not copy: for whoever made them and lets go of them."""
+    if values is None:
+        return None
+    array = np.asarray(values, dtype=dtype)
+    array = array if array.base is None and array.flags.writeable else array.copy()
     array.setflags(write=False)
     return array
 

@@ -22,6 +22,9 @@ LEFT, RIGHT = 1, -1
 UP, DOWN = 2, -2
 """Returns of the highest and of the lowest ring, beyond which the next ring has none."""
 
+KNOWN_LOST = (10.0, 0.4)
+"""Rings that count as tried before a scan, and as lost: one in 25, as on recordings."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EdgePoints(Value):
@@ -97,6 +100,13 @@ class EdgePoints(Value):
         """Number of rings that hit the target."""
         return len(self) // 2
 
+    @property
+    def lost_rings(self) -> float:
+        """Share of rings that return nothing though they meet the target, from those between the lowest and highest."""
+        between = self.ring[-1] - self.ring[0] + 1
+        tried, lost = KNOWN_LOST
+        return float((between - self.n_rings + lost) / (between + tried))
+
     def outward(self, normal: Floats) -> Floats:
         """Motion of each point in the target's plane, away from its inside, per radian of azimuth (or elevation).
 
@@ -114,9 +124,13 @@ class EdgePoints(Value):
 
         Along the ring it is +-(z x p), across the rings +-(p x (z x p)) / |z x p|.
         """
-        azimuthal = np.column_stack([-self.points[:, 1], self.points[:, 0], np.zeros(len(self))])
-        along = np.where(np.abs(self.side)[:, None] == LEFT, azimuthal, upward(self.points))
+        along = np.where(np.abs(self.side)[:, None] == LEFT, leftward(self.points), upward(self.points))
         return frozen(along * np.sign(self.side)[:, None])
+
+
+def leftward(points: Floats) -> Floats:
+    """(N, 3) motion of points (N, 3) as their azimuth grows, metres per radian."""
+    return np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
 
 
 def upward(points: Floats) -> Floats:

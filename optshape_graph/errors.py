@@ -31,6 +31,22 @@ class MissingExtraError(OptshapeError, ImportError):
     """An optional library is needed and absent; the message is the command that installs it."""
 
 
+def expect(what: str, value: object, *kinds: type) -> None:
+    """Check the type of an argument.
+
+    Args:
+        what: its name.
+        value: what was given.
+        kinds: what may be given.
+
+    Raises:
+        InputError: none of them.
+    """
+    if not isinstance(value, kinds):
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise InputError(f"{what}: expected {names}, found {type(value).__name__} {value!r:.40}")
+
+
 def missing_extra(library: str, extra: str, cause: ImportError) -> MissingExtraError:
     """Return the error for an absent (or unloadable) optional library.
 

@@ -94,6 +94,36 @@ def without_duplicates(scan: Scan) -> tuple[Scan, int]:
     return scan.select(keep), int(again.sum())
 
 
+def put_right(scan: Scan) -> Scan:
+    """Return a scan with its returns where the sensor's file says that they are.
+
+    A calibrated sensor's rings measure too far, and look elsewhere than the driver's table says, by what is known: it
+    is taken out, once, for the returned scan's sensor has no such deviations.
+    """
+    sensor = scan.sensor
+    if sensor is None or scan.ring is None or sensor.put_right is sensor:
+        return scan
+    return replace(scan, points=moved(scan.points, scan.ring, *sensor.deviations), sensor=sensor.put_right)
+
+
+def moved(points: Floats, ring: Ints, range_bias: Floats, elevation: Floats, azimuth: Floats) -> Floats:
+    """Return points (N, 3) with their rings' ranges shortened and their directions turned.
+
+    Args:
+        points: (N, 3) metres, LiDAR frame.
+        ring: (N,) of each.
+        range_bias: (R,) metres by which ranges are shortened.
+        elevation: (R,) rad by which directions are raised.
+        azimuth: (R,) rad by which they are turned to the left.
+    """
+    x, y, z = points.T
+    flat = np.hypot(x, y)
+    r = np.hypot(flat, z) - range_bias[ring]
+    up = np.arctan2(z, flat) + elevation[ring]
+    left = np.arctan2(y, x) + azimuth[ring]
+    return np.column_stack([r * np.cos(up) * np.cos(left), r * np.cos(up) * np.sin(left), r * np.sin(up)])
+
+
 def rings_missing(scan: Scan) -> InputError:
     """Return the error that a scan, in which targets are to be found, has no rings; it says what can be done."""
     return InputError(

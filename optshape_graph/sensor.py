@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, Ints, Value, frozen, shortened
 from optshape_graph.errors import InputError
 
+ELEVATION_ERROR, AZIMUTH_ERROR = np.radians(0.1), np.radians(0.05)
+"""Standard deviations over rings of how far elevations and azimuths of an unknown sensor are off, rad."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SensorModel(Value):
@@ -22,7 +25,15 @@ class SensorModel(Value):
         range_noise: standard deviation of one range, metres.
         ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
         elevation_error: standard deviation over rings of how far elevations are off the table, rad. Makers state or are
-            found to keep a twentieth to a tenth of a degree.
+            found to keep a twentieth to a tenth of a degree. None: a tenth; of a beam without width, which only a
+            simulator has, 0.
+        azimuth_error: standard deviation over rings of how far a ring's azimuth is off, rad. None: a twentieth of a
+            degree, or 0, likewise.
+        brightness_bias: standard deviation of the range bias that all returns of a surface in a scan share, metres:
+            dark ones come late, bright ones early.
+        blooming: standard deviation of the azimuth by which a target seems to reach further on each side than its
+            share of the beam says, rad: bright ones do.
+        odd_ends: share of ring ends that are not what they seem: the last return a stray, or a few lost beyond it.
         beam_divergence: full angle of the beam, rad.
         beam_aperture: width of the beam where it leaves the sensor, metres.
         beam_crossing: where the beams cross, horizontal distance from the axis, metres; drivers report heights as if
@@ -30,13 +41,23 @@ class SensorModel(Value):
         azimuth_offsets: (R,) rad, each ring's azimuth relative to the sensor's at the time it fires; None: all 0.
         firing_phases: (R,) when each ring fires, as a share of the cycle of firings, in [0, 1); None: all at once.
             The sensor turns clockwise, seen from above, by an azimuth step in a cycle.
+        firing_period: length of a cycle of firings, seconds.
         range_resolution: ranges are multiples of it, metres; 0: not quantised.
         min_range: nearer returns are not reported, metres.
         max_range: farther returns are not reported, metres.
+        range_bias: (R,) metres by which each ring measures too far; None: 0.
+        range_bias_sd: (R,) standard deviation of what is left of each ring's range bias, metres; None: `ring_bias`.
+        elevation_sd: (R,) of each ring's elevation, rad; None: `elevation_error`.
+        azimuth_sd: (R,) of each ring's azimuth offset, rad; None: `azimuth_error`.
+        firing_sd: (R,) of each ring's firing phase; None: 0.
+        reported_elevations: (R,) rad, those of the driver's table, with which points come; None: `elevations`.
+        reported_azimuth_offsets: (R,) rad, likewise; None: `azimuth_offsets`.
+        edge_offset: how far inside an edge the returns end, beside the step, in beam widths: mean of all edges.
+        edge_offset_sd: standard deviation of that, in beam widths; by default anywhere in the beam.
 
     Raises:
-        InputError: elevations not increasing or out of +-90 deg, another number of azimuth offsets than of rings,
-            a negative or non-finite parameter, or no room between min_range and max_range.
+        InputError: elevations not increasing or out of +-90 deg, a list of another length than the rings', a negative
+            or non-finite parameter, or no room between min_range and max_range.
     """
 
     elevations: Floats
@@ -44,15 +65,29 @@ class SensorModel(Value):
     azimuth_step: float | None = None
     range_noise: float = 0.01
     ring_bias: float = 0.01
-    elevation_error: float = np.radians(0.1)
+    elevation_error: float | None = None
+    azimuth_error: float | None = None
+    brightness_bias: float = 0.0
+    blooming: float = 0.0
+    odd_ends: float = 0.01
     beam_divergence: float = 0.0
     beam_aperture: float = 0.0
     beam_crossing: float = 0.0
     azimuth_offsets: Floats | None = None
     firing_phases: Floats | None = None
+    firing_period: float = 1e-6
     range_resolution: float = 0.0
     min_range: float = 0.0
     max_range: float = np.inf
+    range_bias: Floats | None = None
+    range_bias_sd: Floats | None = None
+    elevation_sd: Floats | None = None
+    azimuth_sd: Floats | None = None
+    firing_sd: Floats | None = None
+    reported_elevations: Floats | None = None
+    reported_azimuth_offsets: Floats | None = None
+    edge_offset: float = 0.0
+    edge_offset_sd: float = 1 / np.sqrt(12)
 
     def __post_init__(self) -> None:
         elevations = frozen(self.elevations)
@@ -73,28 +108,41 @@ class SensorModel(Value):
             "range_noise",
             "ring_bias",
             "elevation_error",
+            "brightness_bias",
+            "blooming",
+            "azimuth_error",
+            "edge_offset_sd",
             "beam_divergence",
             "beam_aperture",
             "beam_crossing",
+            "firing_period",
             "range_resolution",
             "min_range",
         ):
             value = getattr(self, field)
-            if not (np.isfinite(value) and value >= 0):
+            if value is not None and not (np.isfinite(value) and value >= 0):
                 raise InputError(f"sensor '{self.name}': {field} {value} is not a number >= 0")
+        if not 0 < self.odd_ends < 1:
+            raise InputError(f"sensor '{self.name}': odd_ends {self.odd_ends} is not a share above 0 and below 1")
         step = self.azimuth_step
         if step is not None and not (np.isfinite(step) and 0 < step < np.pi):
             raise InputError(f"sensor '{self.name}': azimuth step {step} rad is not within (0, pi)")
         if not self.max_range > self.min_range:
             raise InputError(f"sensor '{self.name}': max_range {self.max_range} m does not exceed {self.min_range} m")
-        if self.azimuth_offsets is not None:
-            offsets = frozen(self.azimuth_offsets)
-            if offsets.shape != elevations.shape or not np.isfinite(offsets).all():
+        if not np.isfinite(self.edge_offset):
+            raise InputError(f"sensor '{self.name}': edge_offset {self.edge_offset} is not a finite number")
+        for field, what in _BY_RING.items():
+            values = getattr(self, field)
+            if values is None:
+                continue
+            values = frozen(values)
+            if values.shape != elevations.shape or not np.isfinite(values).all():
                 raise InputError(
-                    f"sensor '{self.name}': expected {len(elevations)} finite azimuth offsets, one per ring, "
-                    f"found {offsets.size}"
+                    f"sensor '{self.name}': expected {len(elevations)} finite {what}, one per ring, found {values.size}"
                 )
-            object.__setattr__(self, "azimuth_offsets", offsets)
+            if field.endswith("_sd") and values.min() < 0:
+                raise InputError(f"sensor '{self.name}': {what}: {values.min():g} is not a number >= 0")
+            object.__setattr__(self, field, values)
         if self.firing_phases is not None:
             phases = frozen(self.firing_phases)
             if phases.shape != elevations.shape or not ((phases >= 0) & (phases < 1)).all():
@@ -114,6 +162,54 @@ class SensorModel(Value):
         """Number of rings."""
         return len(self.elevations)
 
+    @property
+    def range_bias_sds(self) -> Floats:
+        """(R,) standard deviation of each ring's range bias, metres."""
+        return self._by_ring(self.range_bias_sd, self.ring_bias)
+
+    @property
+    def elevation_sds(self) -> Floats:
+        """(R,) standard deviation of each ring's elevation, rad."""
+        return self._by_ring(self.elevation_sd, self._angle(self.elevation_error, ELEVATION_ERROR))
+
+    @property
+    def azimuth_sds(self) -> Floats:
+        """(R,) standard deviation of each ring's azimuth, rad: of its offset, and of when it fires."""
+        sd = self._by_ring(self.azimuth_sd, self._angle(self.azimuth_error, AZIMUTH_ERROR))
+        return sd if self.firing_sd is None else np.hypot(sd, self.firing_sd * (self.azimuth_step or 0.0))
+
+    def _angle(self, stated: float | None, usual: float) -> float:
+        if stated is not None:
+            return stated
+        return usual if self.beam_divergence + self.beam_aperture > 0 else 0.0
+
+    def _by_ring(self, values: Floats | None, of_all: float) -> Floats:
+        return np.full(self.n_rings, of_all) if values is None else values
+
+    @property
+    def deviations(self) -> tuple[Floats, Floats, Floats]:
+        """By how much a ring's range is too long, metres, its elevation and its azimuth too low, rad, as reported."""
+        nothing = np.zeros(self.n_rings)
+        range_bias = nothing if self.range_bias is None else self.range_bias
+        reported, offsets = self.reported_elevations, self.reported_azimuth_offsets
+        elevation = nothing if reported is None else self.elevations - reported
+        own = nothing if self.azimuth_offsets is None else self.azimuth_offsets
+        return range_bias, elevation, nothing if offsets is None else own - offsets
+
+    @property
+    def put_right(self) -> SensorModel:
+        """The sensor of clouds that were put right: nothing known is left of its rings' deviations."""
+        if self.range_bias is None and self.reported_elevations is None and self.reported_azimuth_offsets is None:
+            return self
+        return replace(self, range_bias=None, reported_elevations=None, reported_azimuth_offsets=None)
+
+    @property
+    def as_reported(self) -> SensorModel:
+        """The sensor with the elevations and azimuth offsets of the driver's table, by which its clouds are read."""
+        elevations = self.elevations if self.reported_elevations is None else self.reported_elevations
+        offsets = self.azimuth_offsets if self.reported_azimuth_offsets is None else self.reported_azimuth_offsets
+        return replace(self.put_right, elevations=elevations, azimuth_offsets=offsets)
+
     def with_azimuth_step(self, step: float | None) -> SensorModel:
         """Return the sensor with another azimuth step, rad."""
         return replace(self, azimuth_step=step)
@@ -127,3 +223,23 @@ class SensorModel(Value):
         below = above - 1
         nearer_below = wanted - self.elevations[below] <= self.elevations[above] - wanted
         return np.where(nearer_below, below, above)
+
+
+def angle_sds(sensor: SensorModel | None, ring: Ints) -> tuple[Floats, Floats]:
+    """Return standard deviations (N,) of elevations and of azimuths of rings (N,), rad; sensor None: an unknown one."""
+    if sensor is None or ring.max(initial=0) >= sensor.n_rings:
+        return np.full(len(ring), ELEVATION_ERROR), np.full(len(ring), AZIMUTH_ERROR)
+    return sensor.elevation_sds[ring], sensor.azimuth_sds[ring]
+
+
+_BY_RING = {
+    "azimuth_offsets": "azimuth offsets",
+    "range_bias": "range biases",
+    "range_bias_sd": "standard deviations of range biases",
+    "elevation_sd": "standard deviations of elevations",
+    "azimuth_sd": "standard deviations of azimuth offsets",
+    "firing_sd": "standard deviations of firing times",
+    "reported_elevations": "reported elevations",
+    "reported_azimuth_offsets": "reported azimuth offsets",
+}
+"""Fields that are lists by ring, and what they are called."""

@@ -25,6 +25,9 @@ MOST_VERTICES = 1000
 SYMMETRY_TOLERANCE = 5e-3
 """Vertex mismatch, relative to the circumradius, under which a rotation counts as a symmetry."""
 
+FLATNESS = 1e-3
+"""Standard deviation of points of a sawn board about its plane, and of its edges about their lines, metres."""
+
 
 @dataclass(frozen=True)
 class Chessboard:
@@ -144,6 +147,11 @@ class Target(Value):
     def area(self) -> float:
         """Area, square metres."""
         return _signed_area(self.polygon)
+
+    @property
+    def gyration(self) -> float:
+        """Radius of gyration of a disc of the target's area, metres: sqrt(area / 2 pi)."""
+        return float(np.sqrt(self.area / (2 * np.pi)))
 
     @cached_property
     def circumradius(self) -> float:

@@ -46,7 +46,7 @@ def test_step_can_be_replaced() -> None:
 )
 def test_what_is_no_sensor(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        SensorModel(**arguments)  # type: ignore[arg-type]
+        SensorModel(**arguments)
 
 
 def test_sensors_are_equal_by_value() -> None:

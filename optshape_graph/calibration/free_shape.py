@@ -16,13 +16,16 @@ import numpy as np
 from scipy.stats import chi2
 
 from optshape_graph._arrays import Floats, Ints, Value, frozen
+from optshape_graph.azimuth_grid import level_rings
+from optshape_graph.beam import Beam
 from optshape_graph.edges import extract_edge_points, with_top_and_bottom
 from optshape_graph.errors import EstimationError
+from optshape_graph.factors.plane_returns import plane_measurement, returns_on_plane
+from optshape_graph.plane import fit_plane
 from optshape_graph.pose import estimate_pose
-from optshape_graph.pose.association import fit_plane
-from optshape_graph.pose.azimuth_grid import level_rings
-from optshape_graph.pose.noise import EdgeNoise, plane_measurement, returns_on_plane
-from optshape_graph.pose.propagation import Problem, edge_geometry, posterior_step
+from optshape_graph.pose.ends import Problem
+from optshape_graph.pose.options import PoseOptions
+from optshape_graph.pose.propagation import posterior_step
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import apply, vec, vec_derivative
 from optshape_graph.target import Target
@@ -138,7 +141,7 @@ def measure_shape(returns: Sequence[Scan], target: Target) -> MeasuredShape:
     # That the offset's effect changes with range would tell it, by less than what is left out here changes with range.
     # So it is not estimated, but it counts.
     total = np.asarray(np.linalg.inv(information))
-    common = EdgeNoise.COMMON * total @ by_offset
+    common = Beam.common * total @ by_offset
     polygon = target.polygon + (total @ weighted).reshape(n, 2)
     return MeasuredShape(target, SeenShape("", polygon, total + np.outer(common, common)), tuple(seen), crossed)
 
@@ -150,7 +153,7 @@ def _start(target: Target) -> Floats:
 
 def _prior(target: Target) -> Floats:
     """(1 + 2 n, 1 + 2 n) information of them."""
-    return np.diag([1.0 / EdgeNoise.COMMON**2, *np.full(2 * len(target), 1.0 / FREE_SIGMA_M**2)])
+    return np.diag([1.0 / Beam.common**2, *np.full(2 * len(target), 1.0 / FREE_SIGMA_M**2)])
 
 
 def _with_crossing(scans: Sequence[Scan], target: Target) -> tuple[bool, list[tuple[Scan, Floats]]]:
@@ -192,7 +195,7 @@ def _free(scan: Scan, target: Target, T: Floats) -> tuple[Floats, Floats]:
     prior, start = _prior(target), _start(target)
     x = start
     for _ in range(RELINEARISATIONS):
-        geometry = edge_geometry(problem, T[None])
+        geometry = problem.geometry(T[None])
         across, m = geometry.across[0], geometry.direction[0] @ T[:3, :3]
         by_vertex = _by_vertex(problem, T, geometry.labels[0])
         J = np.hstack([np.cross(problem.edges.points, m), m, across[:, None], by_vertex])
@@ -222,7 +225,7 @@ def _problem(scan: Scan, target: Target) -> Problem:
     if edges.n_rings == edges.ring[-1] - edges.ring[0] + 1:
         edges = with_top_and_bottom(edges, scan)
     on_plane = plane_measurement(returns_on_plane(scan, plane.axes[0], plane.distance)).marginal(1.0)
-    return Problem(edges, target, on_plane.quadratic(), EdgeNoise.of(scan.sensor))
+    return Problem(edges, target, on_plane.quadratic(), Beam.of(scan.sensor), PoseOptions())
 
 
 def _by_vertex(problem: Problem, T: Floats, labels: Ints) -> Floats:

@@ -9,16 +9,19 @@ import click
 
 from optshape_graph.cli.console import say, say_passed_over, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import force_option, outside_option
+from optshape_graph.cli.options import Number, example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
     from optshape_graph.calibration.camera import CameraCalibration
 
 
-@click.command()
+@click.command(
+    epilog=example("optshape calibrate camera session.yaml --json camera.json --report camera.html --plot pictures")
+)
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to "
+              "this file; until it is whole, what was found is kept in FILE.journal.")  # fmt: skip
 @report_option
 @plot_option("errors of the views, and for each its image with the returns and outlines", "--overlays")
 @click.option("--camchain", type=click.Path(path_type=Path), help="Write a Kalibr-style camchain to this file.")
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--range-bias-sigma",
-    type=click.FloatRange(min=0.0),
+    type=Number(0.0, 10.0),
     default=0.03,
     show_default=True,
     help="Prior standard deviation of a LiDAR's range bias, metres; 0: it has none.",
@@ -63,25 +66,27 @@ def command(
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_session
     from optshape_graph.io.documents import write_json, write_yaml
+    from optshape_graph.runs.kept import keeping
 
     loaded = load_session(session, allow_outside=allow_outside)
-    outputs = Outputs([session, *loaded.files()], force=force)
+    outputs = Outputs([session], force=force)
     outputs.file("--json", json_path, "camera-calibration")
     outputs.file("--camchain", camchain)
     outputs.file("--report", html)
     outputs.folder("--plot", plots)
     if camchain:
         check_camchain(loaded)
-    with progress_bar("images, scans and cross-validation") as progress:
+    with progress_bar("images, scans and cross-validation") as progress, keeping(json_path) as kept:
         calibration = calibrate_camera(
             loaded,
             use_target_points=use_target_points,
             refine_intrinsics=refine_intrinsics,
             range_bias_sigma=range_bias_sigma,
             progress=progress,
+            kept=kept,
         )
-    if json_path:
-        write_json(json_path, calibration.to_dict())
+        if json_path:
+            write_json(json_path, calibration.to_dict())
     if camchain:
         write_yaml(camchain, kalibr_camchain(calibration.mounted()))
     _print(calibration)

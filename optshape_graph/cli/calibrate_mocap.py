@@ -10,17 +10,20 @@ import click
 
 from optshape_graph.cli.console import say, say_passed_over, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import force_option, outside_option
+from optshape_graph.cli.options import example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
     from optshape_graph.calibration.mocap.comparison import ScanError
 
 
-@click.command()
+@click.command(
+    epilog=example("optshape calibrate mocap session.yaml --json mocap.json --report mocap.html --plot pictures")
+)
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
 @click.option("--estimate-scale", is_flag=True, help="Estimate the motion capture's scale too; else it is 1.")
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to "
+              "this file; until it is whole, what was estimated is kept in FILE.journal.")  # fmt: skip
 @force_option
 @report_option
 @plot_option("errors of the scans, where the target stood, where the markers are")
@@ -44,18 +47,19 @@ def command(
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_session
     from optshape_graph.io.documents import write_json
+    from optshape_graph.runs.kept import keeping
 
     loaded = load_session(session, allow_outside=allow_outside)
-    outputs = Outputs([session, *loaded.files()], force=force)
+    outputs = Outputs([session], force=force)
     outputs.file("--json", json_path, "mocap")
     outputs.file("--report", html)
     outputs.folder("--plot", plots)
-    with progress_bar("estimating") as progress:
-        result = calibrate_mocap(loaded, estimate_scale=estimate_scale, progress=progress)
+    with progress_bar("estimating") as progress, keeping(json_path) as kept:
+        result = calibrate_mocap(loaded, estimate_scale=estimate_scale, progress=progress, kept=kept)
+        if json_path:
+            write_json(json_path, result.to_dict())
     for item in result.left_out:
         warn(f"left out {item.scan}: {item.reason}")
-    if json_path:
-        write_json(json_path, result.to_dict())
     _print_errors(print_table, result.leave_one_out, result.in_sample)
     if result.scale_sigma:
         say(f"scale of the motion capture: {result.scale:.4f} +- {result.scale_sigma:.4f}")

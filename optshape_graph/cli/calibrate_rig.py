@@ -60,9 +60,10 @@ def command(
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_session
     from optshape_graph.io.documents import write_json
+    from optshape_graph.runs.kept import keeping
 
     loaded = load_session(session, allow_outside=allow_outside)
-    outputs = Outputs([session, *loaded.files()], force=force)
+    outputs = Outputs([session], force=force)
     outputs.file("--json", json_path, "rig")
     outputs.file("--report", html)
     outputs.folder("--plot", plots)
@@ -70,12 +71,16 @@ def command(
     if export:
         for camera in loaded.cameras.values():
             kalibr_distortion(camera)
-    with progress_bar("images and scans") as progress:
+    with progress_bar("images and scans") as progress, keeping(json_path) as kept:
         calibration = calibrate_rig(
-            loaded, use_target_points=use_target_points, range_bias_sigma=range_bias_sigma, progress=progress
+            loaded,
+            use_target_points=use_target_points,
+            range_bias_sigma=range_bias_sigma,
+            progress=progress,
+            kept=kept,
         )
-    if json_path:
-        write_json(json_path, calibration.to_dict())
+        if json_path:
+            write_json(json_path, calibration.to_dict())
     _print(calibration)
     if export:
         for path in write_exports(export, calibration.mounted()):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import click
 
+from optshape_graph.cli.options import example
+
 SHELLS = {
     "bash": 'eval "$(optshape completion bash)"   # in ~/.bashrc',
     "zsh": 'eval "$(optshape completion zsh)"   # in ~/.zshrc, after compinit',
@@ -11,7 +13,7 @@ SHELLS = {
 }
 
 
-@click.command(epilog="\b\nTo switch it on:\n" + "\n".join(f"  {line}" for line in SHELLS.values()))
+@click.command(epilog=example(*SHELLS.values()))
 @click.argument("shell", type=click.Choice(list(SHELLS)))
 def command(shell: str) -> None:
     """Print the script that makes SHELL complete what is typed after `optshape`."""

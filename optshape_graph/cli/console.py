@@ -55,7 +55,9 @@ def _for(stream: object, text: str) -> str:
     return text
 
 
-def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], note: str = "") -> None:
+def print_table(
+    title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], note: str = "", *, err: bool = False
+) -> None:
     """Print a table: the first column flush left, the others right.
 
     Args:
@@ -63,13 +65,14 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
         columns: their headings, with units.
         rows: cells.
         note: below it.
+        err: print to standard error.
     """
     from rich.box import SIMPLE
     from rich.console import Console
     from rich.table import Table
 
     def cell(text: str) -> str:
-        return _for(sys.stdout, shown(text))
+        return _for(sys.stderr if err else sys.stdout, shown(text))
 
     table = Table(
         title=cell(title), title_justify="left", title_style="bold", caption=cell(note) if note else None,
@@ -79,7 +82,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
         table.add_column(cell(column), justify="right" if k else "left", overflow="fold", no_wrap=bool(k))
     for row in rows:
         table.add_row(*map(cell, row))
-    console = Console(markup=False, highlight=False)
+    console = Console(markup=False, emoji=False, highlight=False, stderr=err)
     if not console.is_terminal:
         console.width = _FILE_WIDTH
     console.print(table)
@@ -111,7 +114,7 @@ def terminal() -> bool:
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show on standard error how far the block is: a bar on a terminal, else a line a minute.
+    """Show on standard error how far the block is and how fast it goes: a bar on a terminal, else a line a minute.
 
     Args:
         what: is being done.
@@ -123,12 +126,23 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
         yield _lines_of_progress(what)
         return
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import Progress, TextColumn
 
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True) as progress:
-        task = progress.add_task(what, total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)
+    console, begun = Console(stderr=True), time.monotonic()
+    with Progress(
+        *Progress.get_default_columns(), TextColumn("{task.fields[speed]}"), console=console, transient=True
+    ) as progress:
+        task = progress.add_task(what, total=None, speed="")
+        yield lambda done, total: progress.update(
+            task, completed=done, total=total, speed=_speed(done, time.monotonic() - begun)
+        )
+
+
+def _speed(done: int, seconds: float) -> str:
+    """How many a second; where they take longer than a second, how long each takes."""
+    if not done or seconds <= 0:
+        return ""
+    return f"{done / seconds:.1f}/s" if done >= seconds else f"{seconds / done:.1f} s each"
 
 
 def _lines_of_progress(what: str) -> Callable[[int, int], None]:
@@ -139,7 +153,8 @@ def _lines_of_progress(what: str) -> Callable[[int, int], None]:
         now = time.monotonic()
         if now - said >= SECONDS_BETWEEN:
             said = now
-            warn(f"{what}: {done} of {total} after {(now - begun) / 60:.0f} min")
+            speed = _speed(done, now - begun)
+            warn(f"{what}: {done} of {total} after {(now - begun) / 60:.0f} min" + (f", {speed}" if speed else ""))
 
     return report
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from optshape_graph.cli.console import say, warn
-from optshape_graph.cli.options import FOLDER, force_option
+from optshape_graph.cli.options import FOLDER, example, force_option
 
 EXPLANATION = """\
 What this was: eight scans of a target with motion-capture markers near its vertices, simulated with a VLP-32C at 4 to
@@ -28,7 +28,7 @@ Your own: optshape estimate SCAN.pcd --target board.yaml --sensor vlp32c --plot 
 """
 
 
-@click.command()
+@click.command(epilog=example("optshape demo -o optshape-demo"))
 @click.option("-o", "--output", type=FOLDER, default=Path("optshape-demo"),
               show_default=True, help="Folder for the results.")  # fmt: skip
 @force_option

@@ -16,6 +16,7 @@ from optshape_graph.cli.options import (
     FOLDER,
     POSITIVE,
     Number,
+    example,
     force_option,
     pool_options,
     seed_option,
@@ -42,9 +43,6 @@ e_r             bound on the angle between the estimated and the true rotation, 
 No unbiased estimate has a smaller root mean square error than the bound. An infinite one: rings that end on two
 parallel edges only, as on a square that stands upright, leave the pose undetermined.
 
-\b
-Example:
-  optshape design score paper pose-optimal board.yaml --sensor os0-64 --distance 15
 """
 
 
@@ -61,13 +59,16 @@ command.add_command(measured)
 command.add_command(optimise_poses)
 
 
-@command.command()
+@command.command(
+    epilog=example("optshape design optimise --sides 4 --starts 16 --aspect 2.5 -o mine.yaml --plot pictures")
+)
 @click.option("--sides", type=click.IntRange(3, 24), default=4, show_default=True, help="Sides of the polygon.")
 @click.option(
     "--rings", nargs=2, type=click.IntRange(1, 100), default=(5, 4), show_default=True, help="Areas, and rings in each."
 )
-@click.option("--sensor", help="Take the rings of this sensor instead (name or file), at --distance.")
-@click.option("--distance", type=DISTANCE, default=10.0, show_default=True, help="Of the target from the sensor, m.")
+@click.option("--sensor", help="Take the rings of this sensor instead (name or file), at --range.")
+@click.option("--range", "--distance", "distance", type=DISTANCE, default=10.0, show_default=True,
+              help="Of the target from the sensor, m.")  # fmt: skip
 @click.option("--area", type=Number(1e-6, 1000.0), default=1.0, show_default=True, help="Of the target, m2.")
 @click.option("--shortest-edge", type=POSITIVE, help="At least, m.  [default: 0.4 for 1 m2, and in proportion]")
 @click.option("--smallest-angle-deg", type=Number(0.0, 180.0), help="At least, between two edges.")
@@ -81,7 +82,7 @@ command.add_command(optimise_poses)
 @pool_options
 @force_option
 @click.option("--name", help="Of the target.  [default: the output's]")
-@click.option("--plots", type=FOLDER, help="Write plots of the result here.")
+@click.option("--plot", "--plots", "plots", type=FOLDER, metavar="DIR", help="Write pictures of the result here.")
 @click.option("-o", "--output", type=FILE, default=Path("target.yaml"), show_default=True, help="Target file to write.")
 def optimise(
     sides: int,
@@ -124,7 +125,7 @@ def optimise(
     outputs.folder("--output", folder)
     if output.exists() or output.parent.is_dir():  # else its folder is made with that of the starts
         outputs.file("--output", output, "target", replace=folder.is_dir())
-    outputs.folder("--plots", plots)
+    outputs.folder("--plot", plots)
     if plots is not None:
         from optshape_graph.viz.style import new_figure
 
@@ -157,12 +158,15 @@ def optimise(
         save_figure(viz.plot_convexity(), plots / "convexity.png")
 
 
-@command.command(epilog=SCORE_COLUMNS)
+@command.command(
+    epilog=SCORE_COLUMNS + example("optshape design score paper pose-optimal board.yaml --sensor os0-64 --range 15")
+)
 @click.argument("shapes", nargs=-1, required=True, metavar="SHAPE...")
 @click.option("--sensor", default="vlp32c", show_default=True, help="To bound the pose for: name or file.")
-@click.option("--distance", type=DISTANCE, default=10.0, show_default=True, help="Of the target from it, m.")
+@click.option("--range", "--distance", "distance", type=DISTANCE, default=10.0, show_default=True,
+              help="Of the target from it, m.")  # fmt: skip
 @click.option("--plot", type=FILE, help="Write a plot that compares the shapes.")
-@click.option("-o", "--output", type=FILE, help="Write the numbers as JSON.")
+@click.option("-o", "--json", "--output", "output", type=FILE, help="Write the numbers to this file.")
 @force_option
 def score(
     shapes: tuple[str, ...], sensor: str, distance: float, plot: Path | None, output: Path | None, force: bool
@@ -202,7 +206,7 @@ def score(
         save_figure(plot_comparison(judgements), plot)
 
 
-@command.command()
+@command.command(epilog=example("optshape design export board.yaml --format pdf --paper a3 --markers 15 -o board.pdf"))
 @click.argument("shape")
 @click.option("--format", "suffix", type=click.Choice(["svg", "dxf", "pdf"]), default="pdf", show_default=True)
 @click.option("--paper", type=PAPERS, help="Spread SVG or PDF over sheets.  [default: one large sheet]")
@@ -264,7 +268,7 @@ def export(
         say(f"wrote {description}")
 
 
-@command.command()
+@command.command(epilog=example("optshape design study --shapes 10 --sensor vlp32c --workers 2 -o study"))
 @click.option(
     "--shapes",
     type=click.IntRange(0, 10_000),
@@ -273,7 +277,7 @@ def export(
     help="Random shapes, beside the built-in ones.",
 )
 @click.option("--sensor", default="vlp32c", show_default=True, help="Name or file.")
-@click.option("--distances", default="8,14,20", show_default=True, help="Of the target, m.")
+@click.option("--ranges", "--distances", "distances", default="8,14,20", show_default=True, help="Of the target, m.")
 @click.option("--placements", type=click.IntRange(1, 10_000), default=16, show_default=True, help="At each distance.")
 @seed_option("Of shapes, placements and noise.")
 @pool_options

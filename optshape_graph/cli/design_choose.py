@@ -10,15 +10,14 @@ import click
 
 from optshape_graph.cli.console import print_table, say
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import DISTANCE, FILE, POSITIVE, Number, force_option, seed_option
+from optshape_graph.cli.options import DISTANCE, FILE, POSITIVE, Number, example, force_option, seed_option
 
 if TYPE_CHECKING:
     from optshape_graph.evaluation.choose import Choice, Trial
 
 
 @click.command(
-    epilog="\b\nExample:\n"
-    "  optshape design choose --sensor os0-64 --range 8 --rotation 2 --translation 0.03 -o board.yaml"
+    epilog=example("optshape design choose --sensor os0-64 --range 8 --rotation 2 --translation 0.03 -o board.yaml")
 )
 @click.option("--sensor", required=True, help="Name or file.")
 @click.option("--range", "metres", type=DISTANCE, required=True, help="Of the target from the sensor, m.")
@@ -52,16 +51,20 @@ def choose(
     """
     from optshape_graph.cli.console import progress_bar
     from optshape_graph.cli.outputs import Outputs
+    from optshape_graph.cli.plots import check_picture
     from optshape_graph.evaluation.choose import Wish, choose_target
     from optshape_graph.io.documents import write_json
     from optshape_graph.io.sensors import load_sensor
     from optshape_graph.io.targets import load_target
 
+    if output is not None and output.suffix.lower() == ".pdf":
+        raise click.UsageError(f"--output {output}: expected a target file, as board.yaml; its drawing is the PDF")
     outputs = Outputs([sensor, *shapes], force=force)
     outputs.file("--json", json_path, "design-choice")
     outputs.file("--output", output, "target")
     if output is not None:
         outputs.new("--output", output.with_suffix(".pdf"))
+        check_picture(output.with_suffix(".pdf"))
     outputs.file("--report", html)
     wish = Wish(load_sensor(sensor), metres, radians(rotation), translation)
     with progress_bar("sizes") as progress:
@@ -76,9 +79,10 @@ def choose(
 
 
 @click.command(
-    epilog="\b\nExample:\n"
-    "  optshape design measured board.yaml --length 0-1=941.5 --length 1-2=1120 --length 2-3=629 \\\n"
-    "  --length 3-0=1549 --length 0-2=1627 --check-bar 99.6 -o as-built.yaml"
+    epilog=example(
+        "optshape design measured board.yaml --length 0-1=941.5 --length 1-2=1120 --length 2-3=629 \\",
+        "--length 3-0=1549 --length 0-2=1627 --check-bar 99.6 -o as-built.yaml",
+    )
 )
 @click.argument("shape")
 @click.option("--length", "lengths", multiple=True, metavar="I-J=MM", help="Measured distance of vertices I and J, mm.")
@@ -112,7 +116,7 @@ def measured(shape: str, lengths: tuple[str, ...], check_bar: float | None, outp
     say(f"wrote {output}: vertices moved by up to {moved:.1f} mm, area {built.area:.4f} m2 (drawn: {target.area:.4f})")
 
 
-@click.command(epilog="\b\nExample:\n  optshape design optimise-poses --sides 3 --starts 6 -o mine.yaml")
+@click.command(epilog=example("optshape design optimise-poses --sides 3 --starts 6 -o mine.yaml"))
 @click.option("--sides", type=click.IntRange(3, 8), default=3, show_default=True, help="Sides of the polygon.")
 @click.option("--sensor", "sensors", multiple=True, default=("vlp32c", "vlp16", "os1-64"), show_default=True,
               help="Sensor, name or file; several.")  # fmt: skip

@@ -10,7 +10,7 @@ import click
 
 from optshape_graph.cli.estimate import drawn
 from optshape_graph.cli.html_report import report_option
-from optshape_graph.cli.options import FILE, columns_option, force_option, pool_options, sensor_option
+from optshape_graph.cli.options import FILE, columns_option, example, force_option, pool_options, sensor_option
 from optshape_graph.cli.plots import names_of, picture_ending, plot_option, save_picture
 
 if TYPE_CHECKING:
@@ -25,7 +25,11 @@ MOST_REJECTED = 3
 """Surfaces that are shown of a scan in which nothing is found: those that passed the most tests."""
 
 
-@click.command()
+@click.command(
+    epilog=example(
+        "optshape detect 'scans/*.pcd' --target paper@0.5 --target board.yaml --sensor os1-64 --json found.json"
+    )
+)
 @click.argument("scans", nargs=-1, required=True, metavar="SCAN...")
 @click.option("--target", "targets", required=True, multiple=True,
               help="Built-in name, NAME@AREA in m2, or target file; once for each target to look for.")  # fmt: skip
@@ -72,7 +76,7 @@ def command(
     from optshape_graph.runs.files import run_files
 
     paths = scan_paths(scans)
-    outputs = Outputs([*paths, *targets, sensor], force=force)
+    outputs = Outputs([*scans, *paths, *targets, sensor], force=force)
     outputs.file("--json", json_path, "detect", bytes_needed=BYTES * len(paths))
     outputs.file("--report", html)
     outputs.folder("--plot", plots)

@@ -15,7 +15,6 @@ from typing import Any
 DISTRIBUTION = "optshape-graph"
 
 MODULES = {
-    "mkdocs-material": "material",
     "opencv-python-headless": "cv2",
     "pymdown-extensions": "pymdownx",
     "pyyaml": "yaml",

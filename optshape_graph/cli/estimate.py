@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from optshape_graph.cli.html_report import report_option
-from optshape_graph.cli.options import FILE, columns_option, force_option, pool_options, sensor_option
+from optshape_graph.cli.options import FILE, columns_option, example, force_option, pool_options, sensor_option
 from optshape_graph.cli.plots import names_of, picture_ending, plot_option, save_picture
 
 if TYPE_CHECKING:
@@ -21,7 +21,11 @@ BYTES = 12_000
 """Of an entry of the document and its line in the journal, about: what the disk must have room for."""
 
 
-@click.command()
+@click.command(
+    epilog=example(
+        "optshape estimate returns.pcd --target board.yaml --sensor vlp32c --json poses.json --plot pictures"
+    )
+)
 @click.argument("scans", nargs=-1, required=True, metavar="SCAN...")
 @click.option("--target", required=True, help="Built-in name, NAME@AREA in m2, or target file.")
 @sensor_option
@@ -66,7 +70,7 @@ def command(
     from optshape_graph.runs.files import run_files
 
     paths = scan_paths(scans)
-    outputs = Outputs([*paths, target, sensor], force=force)
+    outputs = Outputs([*scans, *paths, target, sensor], force=force)
     outputs.file("--json", json_path, "estimate", bytes_needed=BYTES * len(paths))
     outputs.file("--report", html)
     outputs.folder("--plot", plots)

@@ -9,14 +9,15 @@ from typing import Any
 import click
 
 from optshape_graph.cli.console import say, warn
-from optshape_graph.cli.options import FILE, FOLDER, force_option, outside_option
+from optshape_graph.cli.html_report import conclude, report_option
+from optshape_graph.cli.options import FILE, FOLDER, example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "published_": "paper"}
 """Prefix of columns, and what the printed table calls them."""
 
 
-@click.command()
+@click.command(epilog=example("optshape evaluate mocap recordings -o evaluation"))
 @click.argument("folder", type=FOLDER, metavar="DIR")
 @click.option("--reference", type=FILE, metavar="FILE",
               help="Another method's estimates, to compare in the same way: JSON, 'session folder/scan' to an entry "
@@ -24,6 +25,7 @@ OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "publish
 @click.option("--json", "json_path", type=FILE, help="Write the results to this file.")
 @click.option("-o", "--output", type=FOLDER, default=Path("evaluation"),
               show_default=True, help="Folder for the table.")  # fmt: skip
+@report_option
 @plot_option("errors of all scans")
 @force_option
 @outside_option
@@ -32,6 +34,7 @@ def command(
     reference: Path | None,
     json_path: Path | None,
     output: Path,
+    html: Path | None,
     plots: Path | None,
     force: bool,
     allow_outside: bool,
@@ -41,17 +44,15 @@ def command(
     DIR holds session folders, each with a session.yaml. Errors are leave-one-out: each scan is compared in a frame
     fitted to the other scans of its session. Writes mocap.csv and mocap.parquet to the output folder. Exit status 3:
     some scans took no part; the results of the others are written.
-
-    Example: optshape evaluate mocap recordings -o evaluation
     """
     from optshape_graph.cli.console import print_table, progress_bar
     from optshape_graph.cli.outputs import Outputs
+    from optshape_graph.evaluation.documents import mocap_document
     from optshape_graph.evaluation.mocap import (
         PROTOCOLS,
         evaluate_mocap,
         find_sessions,
         load_reference,
-        mean_errors,
     )
     from optshape_graph.evaluation.tables import check_parquet, write_csv, write_parquet
     from optshape_graph.io.documents import write_json
@@ -61,6 +62,7 @@ def command(
     older = _is_table(output / "mocap.csv")  # then it is replaced
     outputs.folder("--output", output, () if older else ["mocap.csv", "mocap.parquet"], replace=False)
     outputs.folder("--plot", plots)
+    outputs.file("--report", html)
     check_parquet()
     output.mkdir(parents=True, exist_ok=True)
     sessions = find_sessions(folder, allow_outside=allow_outside)
@@ -71,16 +73,8 @@ def command(
         warn(f"left out {item.scan}: {item.reason}")
     write_csv(output / "mocap.csv", rows)
     write_parquet(output / "mocap.parquet", rows)
-    means = {prefix: mean_errors(rows, prefix) for prefix in PROTOCOLS}
+    document = mocap_document(rows, left_out)
     if json_path:
-        document: dict[str, Any] = {
-            "schema": "optshape/mocap-evaluation/1",
-            "protocol": "leave-one-out",
-            "scans": rows,
-            "mean": means[""],
-            **{f"{prefix}mean": mean for prefix, mean in means.items() if prefix},
-            "left_out": [{"scan": item.scan, "reason": item.reason} for item in left_out],
-        }
         write_json(json_path, document)
     shown = [prefix for prefix in PROTOCOLS if any(row[f"{prefix}rmse_m"] is not None for row in rows)]
     print_table(
@@ -89,18 +83,19 @@ def command(
         [
             *([f"{row['session']}/{row['scan']}", f"{row['distance_m']:.2f}", str(row["n_points"]),
                *(_errors(row, prefix) for prefix in shown)] for row in rows),
-            ["mean", "", "", *(_errors(means[prefix], "") for prefix in shown)],
+            ["mean", "", "", *(_errors(document[f"{prefix}mean"], "") for prefix in shown)],
         ],
         "ours, reference: leave-one-out, each scan in a frame fitted to the others of its session. in-sample: ours, in "
         "a frame fitted to all. paper: as printed, on markers stretched by 3 %, in a frame fitted to its estimates.",
     )  # fmt: skip
     say(f"{len(rows)} scans; table in {output}")
-    if plots:
+    pictures = Pictures(plots) if plots else None
+    if pictures:
         from optshape_graph.viz.mocap import plot_table
 
-        pictures = Pictures(plots)
         pictures.save("errors", plot_table(rows, {prefix: OF[prefix] for prefix in shown}))
         pictures.tell()
+    conclude(document, html, pictures.paths if pictures else ())
     return 3 if left_out else 0
 
 

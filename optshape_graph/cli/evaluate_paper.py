@@ -7,17 +7,21 @@ from pathlib import Path
 import click
 
 from optshape_graph.cli.console import say
-from optshape_graph.cli.options import FOLDER, force_option, outside_option, seed_option
+from optshape_graph.cli.options import FOLDER, example, force_option, outside_option, seed_option
+from optshape_graph.cli.plots import picture_ending, plot_format_option, save_picture
 
 
-@click.command(epilog="\b\nExample:\n  optshape evaluate paper --draws 5 --mocap recordings -o paper")
+@click.command(epilog=example("optshape evaluate paper --draws 5 --mocap recordings -o paper"))
 @click.option(
-    "--draws", type=click.IntRange(1, 10_000), default=5, show_default=True, help="Scans of a row of Table I."
+    "--draws",
+    type=click.IntRange(1, 10_000),
+    default=5,
+    show_default=True,
+    help="Scans of a row of Table I, and of a cell of figure 10.",
 )
 @click.option("--mocap", type=click.Path(file_okay=False, exists=True, path_type=Path), metavar="DIR",
               help="Session folders with markers, for Table II.")  # fmt: skip
-@click.option("--plot-format", type=click.Choice(["png", "svg", "pdf"]), default="png", show_default=True,
-              help="Of the figures.")  # fmt: skip
+@plot_format_option
 @seed_option("Of everything random.")
 @outside_option
 @force_option
@@ -25,7 +29,6 @@ from optshape_graph.cli.options import FOLDER, force_option, outside_option, see
 def command(
     draws: int,
     mocap: Path | None,
-    plot_format: str,
     seed: int,
     allow_outside: bool,
     force: bool,
@@ -39,17 +42,22 @@ def command(
     from optshape_graph.cli.console import print_table, progress_bar
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.evaluation.mocap import evaluate_mocap, find_sessions
-    from optshape_graph.evaluation.paper import NOT_REPRODUCED, columns_of, table_1, table_2
+    from optshape_graph.evaluation.paper import NOT_REPRODUCED, columns_of, figure_10, table_1, table_2
     from optshape_graph.evaluation.published import TABLE_1, TABLE_2
     from optshape_graph.evaluation.tables import write_csv
     from optshape_graph.io.targets import load_target
+    from optshape_graph.viz.evaluation import plot_sweep
     from optshape_graph.viz.paper import figures
-    from optshape_graph.viz.style import save_figure
 
-    Outputs([], force=force).folder("--output", output)
+    older = (output / "tasks").is_dir()  # then what is there is replaced
+    made = [] if older else ["table1.csv", "table2.csv", *(path.name for path in output.glob("figure-*"))]
+    Outputs(force=force).folder("--output", output, made, replace=False)
     target = load_target("paper")
     for name, figure in figures(target, seed).items():
-        say(f"picture: {save_figure(figure, output / f'{name}.{plot_format}')}")
+        say(f"picture: {save_picture(output, name, figure, picture_ending())}")
+    with progress_bar("figure 10") as progress:
+        cells = figure_10(target, output / "charts", draws, seed, progress)
+    say(f"picture: {save_picture(output, 'figure-10-charts', plot_sweep(cells), picture_ending())}")
     with progress_bar("Table I") as progress:
         rows = table_1(target, output / "tasks", draws, seed, progress)
     write_csv(output / "table1.csv", rows)
@@ -72,4 +80,3 @@ def command(
         )
     for number, why in NOT_REPRODUCED.items():
         say(f"figure {number}: not made: {why}")
-    say("figure 10, the charts over 2 to 40 m: optshape evaluate simulation")

@@ -9,25 +9,43 @@ from typing import TYPE_CHECKING, cast
 import click
 
 from optshape_graph.cli.console import say
-from optshape_graph.cli.options import ANGLE, DISTANCE, FOLDER, Number, force_option, pool_options, seed_option
+from optshape_graph.cli.html_report import conclude, report_option
+from optshape_graph.cli.options import (
+    ANGLE,
+    DISTANCE,
+    FILE,
+    FOLDER,
+    Number,
+    example,
+    force_option,
+    pool_options,
+    seed_option,
+)
+from optshape_graph.cli.plots import picture_ending, plot_format_option, save_picture
 
 if TYPE_CHECKING:
     from optshape_graph.evaluation.harness import Row
     from optshape_graph.evaluation.simulation import Removal, SimulationSweep
     from optshape_graph.runs.workers import Pool
 
-TABLES = ("scans.csv", "scans.parquet", "cells.csv", "groups.csv", "consistency.csv", "table1.csv", "errors.png")
+TABLES = ("scans.csv", "scans.parquet", "cells.csv", "groups.csv", "consistency.csv", "table1.csv")
+PICTURES = ("errors.png", "errors.svg", "errors.pdf")
 """What is written to the output folder."""
 
 
-@click.command()
+@click.command(epilog=example("optshape evaluate simulation --seeds 20 --workers 4 -o sweep"))
 @click.option("--target", "target_name", default="paper", show_default=True, help="Built-in name, NAME@AREA, or file.")
 @click.option(
     "--sensor", "sensor_name", help="Built-in name or file.  [default: the paper's simulator, quirks included]"
 )
 @click.option("--method", "methods", multiple=True, type=click.Choice(["global", "paper"]), help="May be repeated.")
 @click.option(
-    "--distance", "distances", multiple=True, type=DISTANCE, help="May be repeated.  [default: 2 to 40 m by 2 m]"
+    "--range",
+    "--distance",
+    "distances",
+    multiple=True,
+    type=DISTANCE,
+    help="Of the target, m; may be repeated.  [default: 2 to 40 m by 2 m]",
 )
 @click.option("--rpy", "angles", multiple=True, nargs=3, type=ANGLE, metavar="R P Y",
               help="Degrees, R = Rx Ry Rz; may be repeated.  [default: 0 0 0 and 20 30 30]")  # fmt: skip
@@ -45,6 +63,9 @@ TABLES = ("scans.csv", "scans.parquet", "cells.csv", "groups.csv", "consistency.
               show_default=True, help="Which rings those are.")  # fmt: skip
 @seed_option("Of everything random.")
 @pool_options
+@click.option("--json", "json_path", type=FILE, help="Write the numbers of every cell to this file.")
+@report_option
+@plot_format_option
 @force_option
 @click.option("-o", "--output", type=FOLDER, default=Path("evaluation"),
               show_default=True, help="Folder for the results; a sweep that was stopped goes on there.")  # fmt: skip
@@ -62,6 +83,8 @@ def command(
     removal: str,
     seed: int,
     pool: Pool | None,
+    json_path: Path | None,
+    html: Path | None,
     force: bool,
     output: Path,
 ) -> None:
@@ -69,15 +92,13 @@ def command(
 
     Writes to the output folder: scans.csv and scans.parquet (one row per scan and method), cells.csv and groups.csv
     (errors over the draws of a cell, and over all distances), consistency.csv (errors against covariances), table1.csv
-    (the paper's Table I beside ours), and errors.png (the paper's line charts). Results do not depend on
-    the number of workers.
+    (the paper's Table I beside ours), and errors.png (the paper's line charts). Results do not depend on the number of
+    workers.
 
     Columns named bound are the Cramer-Rao bound of that pose: the error, root mean square, of the best unbiased
     estimate that knows which ring ends on which edge. A uniform quantiser has no such bound: a ring's end counts as
     Gaussian with the variance of one azimuth step, step^2 / 12, so errors without noise can be smaller. It knows of no
     flipped poses, and takes each noisy azimuth by itself, so errors of angular noise can be smaller, too.
-
-    Example: optshape evaluate simulation --seeds 20 --workers 4 -o sweep
     """
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.evaluation import SimulationSweep
@@ -88,7 +109,9 @@ def command(
 
     outputs = Outputs([target_name, sensor_name], force=force)
     older = (output / "tasks" / "sweep.json").exists()  # then its tables are replaced
-    outputs.folder("--output", output, () if older else TABLES, replace=False)
+    outputs.folder("--output", output, () if older else (*TABLES, *PICTURES), replace=False)
+    outputs.file("--json", json_path, "simulation-evaluation")
+    outputs.file("--report", html)
     check_parquet()
     new_figure()  # whether there is matplotlib: better known before the sweep than after it
     sweep = SimulationSweep(
@@ -106,11 +129,11 @@ def command(
         seed=seed,
     )
     with going_on(lambda: f"finished tasks are kept in {output}; the same command goes on there"):
-        _run(sweep, pool, output)
+        _run(sweep, pool, output, json_path, html)
 
 
-def _run(sweep: SimulationSweep, pool: Pool | None, output: Path) -> None:
-    """Run the sweep, and write its tables and charts."""
+def _run(sweep: SimulationSweep, pool: Pool | None, output: Path, json_path: Path | None, html: Path | None) -> None:
+    """Run the sweep, write its tables and charts, and say what it means."""
     from optshape_graph.cli.console import progress_bar
     from optshape_graph.evaluation import (
         beside_published,
@@ -121,8 +144,9 @@ def _run(sweep: SimulationSweep, pool: Pool | None, output: Path) -> None:
         write_csv,
         write_parquet,
     )
+    from optshape_graph.evaluation.documents import simulation_document
+    from optshape_graph.io.documents import write_json
     from optshape_graph.viz.evaluation import plot_sweep
-    from optshape_graph.viz.style import save_figure
 
     with progress_bar("simulating and estimating") as progress:
         rows = run_simulation(sweep, output / "tasks", pool=pool, progress=progress)
@@ -137,9 +161,13 @@ def _run(sweep: SimulationSweep, pool: Pool | None, output: Path) -> None:
     write_csv(output / "consistency.csv", by_group(rows, cell, consistency))
     printed_level = "1" if "1" in sweep.noise else sweep.noise[0]
     write_csv(output / "table1.csv", beside_published([row for row in cells if row["noise"] == printed_level]))
-    save_figure(plot_sweep(cells), output / "errors.png")
+    picture = save_picture(output, "errors", plot_sweep(cells), picture_ending())
+    document = simulation_document(sweep, rows)
+    if json_path:
+        write_json(json_path, document)
     _show(groups)
     say(f"{len(rows)} rows; tables and charts in {output}")
+    conclude(document, html, [picture])
 
 
 def _orientation(rpy_deg: tuple[float, float, float]) -> tuple[str, tuple[float, float, float]]:

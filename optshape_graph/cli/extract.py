@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from optshape_graph.cli.console import say, say_passed_over, warn
-from optshape_graph.cli.options import FOLDER, Number
+from optshape_graph.cli.options import FOLDER, Number, example
 
 if TYPE_CHECKING:
     from optshape_graph.io.mocap import MocapRecording
@@ -22,7 +22,7 @@ OFFSET = Number(-1e11, 1e11)
 """Seconds between two clocks: one may count from 1970."""
 
 
-@click.command()
+@click.command(epilog=example("optshape extract drive.bag -o session --sensor vlp32c --target paper --every 0.5"))
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=FOLDER, help="Folder to write the session to.")
 @click.option("--list", "listing", is_flag=True, help="List the topics and exit.")
@@ -95,6 +95,8 @@ def command(
         raise click.UsageError(f"several --topic of one kind: {', '.join(topics)}")
     given = _offsets(offsets)
     Outputs([recording, camera_file, mocap_file]).folder("--output", output)
+    if output.exists() and recording.is_dir() and output.resolve() == recording.resolve():
+        raise click.UsageError(f"--output {output}: is the recording; name another folder")
     mocap = _mocap(mocap_file)
     if estimate:
         if mocap is None or "mocap" in given:

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from optshape_graph.cli.console import say
-from optshape_graph.cli.options import FILE, force_option
+from optshape_graph.cli.options import FILE, example, force_option
 from optshape_graph.names import shell_word
 
 
@@ -42,7 +42,7 @@ def conclude(document: Mapping[str, Any], html: Path | None, pictures: Sequence[
     say(f"wrote {html}")
 
 
-@click.command(epilog="\b\nExample:\n  optshape report calibration.json -o report.html pictures/*.png")
+@click.command(epilog=example("optshape report calibration.json -o report.html pictures/*.png"))
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.json")
 @click.argument("pictures", nargs=-1, type=click.Path(path_type=Path, exists=True, dir_okay=False))
 @click.option("-o", "--output", type=FILE, default=Path("report.html"), show_default=True, help="File to write.")
@@ -50,7 +50,7 @@ def conclude(document: Mapping[str, Any], html: Path | None, pictures: Sequence[
 def command(result: Path, pictures: tuple[Path, ...], output: Path, force: bool) -> None:
     """Write what a result means as one HTML file: verdict, numbers, pictures, what to do next.
 
-    RESULT.json is what estimate, detect, calibrate, map or design choose wrote; PICTURES are drawings of it.
+    RESULT.json is what estimate, detect, calibrate, map, evaluate or design choose wrote; PICTURES are drawings of it.
     """
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.evaluation.verdicts import JUDGED, kind_of

@@ -8,10 +8,10 @@ from typing import Any
 import click
 
 from optshape_graph.cli.console import say, warn
-from optshape_graph.cli.options import FILE, force_option
+from optshape_graph.cli.options import FILE, example, force_option
 
 
-@click.command()
+@click.command(epilog=example("optshape info drive.bag scan.pcd board.yaml"))
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
 @click.option("--columns", metavar="NAMES", help="Names of a cloud's columns that has none: x,y,z,_,ring.")
 @click.option("--json", "json_path", type=FILE, help="Write the facts to this file.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import signal
 import sys
 from typing import NoReturn
 
@@ -13,7 +14,14 @@ import click
 import optshape_graph
 from optshape_graph.cli.lazy import LazyGroup
 from optshape_graph.names import shown
-from optshape_graph.runs.interruption import Stopped, stop_on_signals
+from optshape_graph.runs.interruption import (
+    Stopped,
+    end_on_signals,
+    first_to_say,
+    stop_on_signals,
+    stopped_line,
+    whatever_becomes_of_it,
+)
 
 COMMANDS = {
     "info": "optshape_graph.cli.info",
@@ -62,7 +70,9 @@ LONGEST_MESSAGE = 2000
 )
 @click.version_option(optshape_graph.__version__, prog_name="optshape")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
-def cli(debug: bool) -> None:
+@click.option("--profile", is_flag=True, help="Print at the end where the time went, on standard error.")
+@click.pass_context
+def cli(ctx: click.Context, debug: bool, profile: bool) -> None:
     """LiDAR targets as landmarks: certified poses with covariances, calibration, maps.
 
     Exit status: 0 all well; 1 unexpected; 2 bad usage or input; 3 some scans failed, are doubtful or ambiguous
@@ -71,6 +81,10 @@ def cli(debug: bool) -> None:
     handler = logging.StreamHandler()
     handler.setFormatter(OneLine("optshape: %(levelname)s: %(message)s"))
     logging.basicConfig(handlers=[handler], level=logging.WARNING)
+    if profile:
+        from optshape_graph.cli.profiling import profiled
+
+        ctx.with_resource(profiled())
 
 
 class OneLine(logging.Formatter):
@@ -90,14 +104,25 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     try:
         stop_on_signals()
-        code = cli(standalone_mode=False)
-        sys.stdout.flush()
+        code = run(debug)
     except Stopped as stopped:
-        end(
-            f"stopped by {stopped.signal.name}" + (f": {stopped.advice}" if stopped.advice else ""), stopped.exit_status
-        )
+        if first_to_say():
+            end(stopped_line(stopped.signal, stopped.advice), stopped.exit_status)
+        sys.exit(stopped.exit_status)
+    finally:
+        end_on_signals()
+    sys.exit(code)
+
+
+def run(debug: bool) -> int:
+    """Run the command, and return its exit status; exit with one line where it ends in an error."""
+    try:
+        with whatever_becomes_of_it():
+            code = cli(standalone_mode=False)
+            sys.stdout.flush()
+        return code if isinstance(code, int) else 0
     except (click.exceptions.Abort, KeyboardInterrupt):
-        end("stopped by SIGINT", 130)
+        end(stopped_line(signal.SIGINT, ""), 130)
     except click.ClickException as error:
         said = error.format_message()
         if isinstance(error, click.UsageError) and error.ctx is not None:
@@ -110,14 +135,13 @@ def main() -> None:
     except (optshape_graph.OptshapeError, OSError) as error:
         if debug:
             show_traceback(error)
-        end(f"error: {error}", 2)
+        end(f"optshape: error: {reason(error)}", 2)
     except MemoryError:
-        end("error: not enough memory", 2)
+        end("optshape: error: not enough memory", 2)
     except Exception as error:
         if debug:
             show_traceback(error)
-        end(f"unexpected {type(error).__name__}: {shown(error, LONGEST_MESSAGE)} (--debug shows where)", 1)
-    sys.exit(code if isinstance(code, int) else 0)
+        end(f"optshape: unexpected {type(error).__name__}: {shown(error, LONGEST_MESSAGE)} (--debug shows where)", 1)
 
 
 def open_streams() -> None:
@@ -134,8 +158,15 @@ def open_streams() -> None:
 def end(message: str, status: int) -> NoReturn:
     """Say why in one line, and exit."""
     with contextlib.suppress(OSError):
-        click.echo(f"optshape: {shown(message, LONGEST_MESSAGE)}", err=True)
+        click.echo(shown(message, LONGEST_MESSAGE), err=True)
     sys.exit(status)
+
+
+def reason(error: Exception) -> str:
+    """Return what went wrong, of the system's errors with the file first, as in all others."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
 
 
 def show_traceback(error: Exception) -> None:

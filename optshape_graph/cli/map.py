@@ -6,14 +6,16 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
 
 from optshape_graph.cli.console import SECONDS_BETWEEN, say, say_passed_over, terminal, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import FILE, POSITIVE, Number, force_option, outside_option, pool_options
+from optshape_graph.cli.options import FILE, POSITIVE, Number, example, force_option, outside_option, pool_options
 from optshape_graph.cli.plots import Pictures, plot_option
+
+T = TypeVar("T")
 
 if TYPE_CHECKING:
     from optshape_graph._arrays import Floats
@@ -24,20 +26,37 @@ if TYPE_CHECKING:
     from optshape_graph.runs.workers import Pool
 
 
-@click.command()
+class Offset(click.ParamType):  # type: ignore[type-arg]  # generic in newer versions of click only
+    """Seconds, or `auto`."""
+
+    name = "offset"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | str:
+        """Return the number that a text is, or `auto`."""
+        return "auto" if value == "auto" else Number(-1e11, 1e11).convert(value, param, ctx)
+
+
+@click.command(
+    epilog=example("optshape map drive.bag --targets paper --sensor vlp32c --json map.json --tum trajectory.tum")
+)
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option("--targets", "--target", "target_names", multiple=True,
               help="Built-in name, NAME@AREA, or file; may be repeated. A session names its own.")  # fmt: skip
-@click.option("--sensor", "sensor_name", help="The LiDAR: built-in name or file. A session names its own.")
-@click.option("--scans", "scan_topic", metavar="TOPIC", help="Not needed where there is only one.")
+@click.option("--sensor", "sensor_names", multiple=True,
+              help="The LiDAR: built-in name or file; of several one each, in the order of --scans. "
+              "A session names its own.")  # fmt: skip
+@click.option("--scans", "scan_topics", metavar="TOPIC", multiple=True,
+              help="Not needed where there is only one; may be repeated, for several LiDARs on one robot.")  # fmt: skip
 @click.option("--odometry", metavar="TOPIC|FILE",
               help="Topic of poses, or a file of them (TUM, EuRoC, Motive); `none` for none.  "
               "[default: the only topic of poses, if there is one]")  # fmt: skip
-@click.option("--mounting", nargs=6, type=Number(-1e4, 1e4), metavar="X Y Z ROLL PITCH YAW",
-              help="The LiDAR on the body that the odometry is of: metres and degrees.  "
-              "[default: the recording's static transforms]")  # fmt: skip
-@click.option("--clock-offset", type=Number(-1e11, 1e11), default=0.0, show_default=True, metavar="SECONDS",
-              help="To add to the stamps of the odometry to have those of the scans.")  # fmt: skip
+@click.option("--mounting", "mountings", nargs=6, type=Number(-1e4, 1e4), metavar="X Y Z ROLL PITCH YAW", multiple=True,
+              help="The LiDAR on the body that the odometry is of: metres and degrees; of several one each, in the "
+              "order of --scans.  [default: the recording's static transforms]")  # fmt: skip
+@click.option("--extrinsics", type=FILE, help="Where LiDARs are: a file with `transforms`, such as a calibrated rig.")
+@click.option("--clock-offset", type=Offset(), default="0", show_default=True, metavar="SECONDS|auto",
+              help="To add to the stamps of the odometry to have those of the scans; `auto`: estimated, by how fast "
+              "both say that the robot turned (needs the extra `icp`).")  # fmt: skip
 @click.option("--one-each", is_flag=True, help="There is one of each target: its name is the landmark's.")
 @click.option("--known", type=FILE, help="Map to start from: surveyed landmarks, or made before.")
 @click.option("--odometry-noise", nargs=2, type=Number(1e-6, 100.0), default=(0.02, 0.2), show_default=True,
@@ -66,11 +85,12 @@ def command(
     source: Path,
     allow_outside: bool,
     target_names: tuple[str, ...],
-    sensor_name: str | None,
-    scan_topic: str | None,
+    sensor_names: tuple[str, ...],
+    scan_topics: tuple[str, ...],
     odometry: str | None,
-    mounting: tuple[float, ...] | None,
-    clock_offset: float,
+    mountings: tuple[tuple[float, ...], ...],
+    extrinsics: Path | None,
+    clock_offset: float | Literal["auto"],
     one_each: bool,
     known: Path | None,
     odometry_noise: tuple[float, float],
@@ -92,17 +112,16 @@ def command(
 
     SOURCE is a session file (.yaml), a ROS 1 or ROS 2 bag, an .mcap file, or a folder of clouds with timestamps.txt.
     Scans are placed by odometry, and by what they have in common with others; without odometry, by that alone. Scans
-    that cannot be used are skipped with a reason and counted. The exit status is 3 if no target was mapped, or the map
-    is not to be trusted for another reason, which is said.
-
-    Example: optshape map drive.bag --targets paper --sensor vlp32c --json map.json --tum trajectory.tum
+    that cannot be used are skipped with a reason and counted. Of several LiDARs, poses are those of the first. The exit
+    status is 3 if no target was mapped, or the map is not to be trusted for another reason, which is said.
     """
     from math import radians
 
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_sensor, load_target
+    from optshape_graph.io.recordings import Recording
     from optshape_graph.mapping import load_map
-    from optshape_graph.mapping.recording import KeyframePolicy, MotionNoise, map_recording
+    from optshape_graph.mapping.recording import KeyframePolicy, MotionNoise, map_recording, read_extrinsics
     from optshape_graph.runs.files import fingerprint
     from optshape_graph.runs.interruption import going_on
     from optshape_graph.runs.journal import Journal, journal_of
@@ -111,31 +130,38 @@ def command(
         if given is not None and (lag is not None or not batch):
             raise click.UsageError(f"{option} needs the batch solution, so no --lag and no --no-batch")
     files = _files(source)
-    outputs = Outputs([*files, known, odometry, sensor_name, *target_names], force=force)
+    inputs = [odometry, *sensor_names, *target_names]
+    outputs = Outputs([*files, known, extrinsics, *inputs], force=force)
     outputs.file("--json", json_file, "map")
     for option, file in (("--tum", tum_file), ("--kitti", kitti_file), ("--g2o", g2o_file)):
         outputs.file(option, file)
     outputs.file("--report", html)
     outputs.folder("--plot", plots)
-    opened = _opened(source, target_names, sensor_name, scan_topic, allow_outside)
+    targets = tuple(map(load_target, target_names))
+    sensors = _of_each("--sensor", list(map(load_sensor, sensor_names)), scan_topics, common=True)
+    transforms = read_extrinsics(extrinsics) if extrinsics else None
+    opened = _opened(source, target_names, sensor_names, scan_topics, allow_outside)
+    names = scan_topics if isinstance(opened, Recording) else tuple(opened.lidars)
+    placed = _of_each("--mounting", list(map(_placed, mountings)), names)
     describe = {
-        "form": "map", "targets": target_names, "sensor": sensor_name, "scans": scan_topic, "odometry": odometry,
-        "mounting": mounting, "clock_offset": clock_offset, "one_each": one_each, "noise": odometry_noise,
+        "form": "map", "targets": target_names, "sensor": sensor_names, "scans": scan_topics, "odometry": odometry,
+        "mounting": mountings, "clock_offset": clock_offset, "one_each": one_each, "noise": odometry_noise,
         "keyframe": keyframe, "shapes": as_built is not None, "biases": batch and lag is None,
-        "files": fingerprint([*map(str, files), *filter(None, [odometry, sensor_name, *target_names])]),
+        "files": fingerprint([*map(str, [*files, *filter(None, [extrinsics])]), *filter(None, inputs)]),
     }  # fmt: skip
-    kept = journal_of(json_file) if json_file else None
-    advice = (
-        f"what was seen is kept in {kept}; the same command goes on there" if kept else "--json keeps what was seen"
-    )
-    with Journal(kept, describe, None) as journal, _shown() as report, going_on(lambda: advice):
+    with (
+        Journal(journal_of(json_file), describe, None) as journal,
+        _shown() as report,
+        going_on(lambda: journal.advice(f"{journal.finished} keyframes were looked at")),
+    ):
         result = map_recording(
             opened,
-            tuple(map(load_target, target_names)),
-            load_sensor(sensor_name) if sensor_name else None,
-            scans=scan_topic,
+            targets,
+            sensors,
+            scans=scan_topics or None,
             odometry=odometry,
-            mounting=None if mounting is None else _placed(mounting),
+            mounting=placed,
+            extrinsics=transforms,
             clock_offset=clock_offset,
             known=load_map(known) if known else None,
             one_each=one_each,
@@ -163,18 +189,37 @@ def _files(source: Path) -> list[Path]:
 
 
 def _opened(
-    source: Path, target_names: tuple[str, ...], sensor_name: str | None, scan_topic: str | None, allow_outside: bool
+    source: Path,
+    target_names: tuple[str, ...],
+    sensor_names: tuple[str, ...],
+    scan_topics: tuple[str, ...],
+    allow_outside: bool,
 ) -> Session | Recording:
     from optshape_graph.io import load_session
     from optshape_graph.io.recordings import Recording
 
     if source.suffix.lower() in (".yaml", ".yml", ".json"):
-        if target_names or sensor_name or scan_topic:
+        if target_names or sensor_names or scan_topics:
             raise click.UsageError("a session file names its own targets, sensor and scans")
         return load_session(source, allow_outside=allow_outside)
     if not target_names:
         raise click.UsageError("--targets is needed: what is to be looked for")
     return Recording(source)
+
+
+def _of_each(option: str, values: list[T], names: tuple[str, ...], common: bool = False) -> T | dict[str, T] | None:
+    """What was said of the LiDARs: of one, or of each by its name; with `common`, one may be said for all.
+
+    Raises:
+        UsageError: not of as many as there are.
+    """
+    if not values:
+        return None
+    if len(values) == 1 and (common or len(names) <= 1):
+        return values[0]
+    if len(values) != len(names):
+        raise click.UsageError(f"{option} is given {len(values)} times, for {len(names) or 1} LiDARs")
+    return dict(zip(names, values, strict=True))
 
 
 def _placed(mounting: tuple[float, ...]) -> Floats:
@@ -218,7 +263,11 @@ def _shown() -> Iterator[Callable[[Progress], None]]:
 
 def _document(result: MapResult) -> dict[str, Any]:
     """The map, with what there is to say of the run."""
-    return {**result.map.to_dict(), "report": {"problems": list(result.problems), **result.passed_over.to_dict()}}
+    report = {
+        "problems": list(result.problems), "warnings": list(result.warnings), "clocks": result.clocks.to_dict(),
+        **result.passed_over.to_dict(),
+    }  # fmt: skip
+    return {**result.map.to_dict(), "report": report}
 
 
 def _write(result: MapResult, json_file: Path | None, tum: Path | None, kitti: Path | None, g2o: Path | None) -> None:
@@ -268,6 +317,8 @@ def _say(result: MapResult) -> None:
         f"{progress.scans} scans, {progress.keyframes} keyframes, {progress.sightings} sightings: "
         f"{len(result.map.landmarks)} landmarks, {len(result.trajectory)} poses"
     )
+    for line in result.clocks.lines():
+        say(f"  {line}")
     say_landmarks(result.map)
     if result.counts:
         say("  " + ", ".join(f"{count} {what}" for what, count in result.counts.items()))

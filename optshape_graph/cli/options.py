@@ -76,6 +76,11 @@ ANGLE = Number(-360.0, 360.0)
 """Degrees."""
 
 
+def example(*lines: str) -> str:
+    """Return the epilog of a command's help: lines that somebody can copy."""
+    return "\b\nExample:\n" + "\n".join(f"  {line}" for line in lines)
+
+
 def outside_option(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--allow-outside` to a command that reads sessions; it takes the value as `allow_outside`."""
     return click.option(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import stat
 import tempfile
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 from optshape_graph.errors import InputError
@@ -17,6 +19,9 @@ OF_INPUTS = frozenset({
     ".py", ".md", ".txt",
 })  # fmt: skip
 """Endings of files that hold somebody's work: they are not written over unasked."""
+
+JOURNALED = ("estimate", "detect", "map", "mocap", "camera-calibration")
+"""Forms that are kept beside their file until it is whole."""
 
 LEAST_ROOM = 1 << 20
 """Bytes that must be free where something is written."""
@@ -29,12 +34,15 @@ class Outputs:
     any other only with `force`. An input is never written over.
 
     Args:
-        inputs: files that the command reads.
+        inputs: files that the command reads, lists of files among them (`@list`). What a session or a scene names is
+            an input as well.
         force: write over what is there.
     """
 
     def __init__(self, inputs: Iterable[str | Path | None] = (), *, force: bool = False) -> None:
-        self._inputs = {key: Path(path) for path in inputs if path is not None and (key := _identity(Path(path)))}
+        given = [Path(str(path).removeprefix("@")) for path in inputs if path is not None]
+        named = [other for path in given for other in _named_in(path)]
+        self._inputs = {key: path for path in [*given, *named] if (key := _identity(path))}
         self._force = force
         self._named: dict[Path, str] = {}
         self._files: set[Path] = set()
@@ -56,7 +64,7 @@ class Outputs:
         """
         if path is None:
             return
-        self._check_name(option, path)
+        self._check_name(option, path, form in JOURNALED)
         self._files.add(path.resolve())
         if path.is_dir():
             raise InputError(f"{option} {path}: expected the name of a file, found a folder")
@@ -129,7 +137,7 @@ class Outputs:
         """Whether a file is one that the command reads."""
         return _identity(path) in self._inputs
 
-    def _check_name(self, option: str, path: Path) -> None:
+    def _check_name(self, option: str, path: Path, journaled: bool = False) -> None:
         try:
             place = path.resolve()
         except (OSError, ValueError, RuntimeError) as error:
@@ -139,6 +147,21 @@ class Outputs:
         if place in self._named and self._named[place] != option:
             raise InputError(f"{option} {path}: is the output of {self._named[place]}, too")
         self._named[place] = option
+        if journaled:
+            self._named[place.with_name(f"{place.name}.journal")] = f"{option}, until it is whole"
+
+
+def _named_in(path: Path) -> list[Path]:
+    """The files that a session or a scene names."""
+    from optshape_graph.io.documents import named_files
+    from optshape_graph.io.files import read_head
+
+    if path.suffix.lower() not in (".yaml", ".yml", ".json"):
+        return []
+    with suppress(InputError):  # said where it is read
+        if re.search(rb"optshape/(session|scene)/", read_head(path, 4096)):
+            return named_files(path)
+    return []
 
 
 def _identity(path: Path) -> tuple[int, int] | None:

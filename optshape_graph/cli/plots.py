@@ -31,17 +31,21 @@ def plot_option(what: str, *aliases: str) -> Callable[[Callable[..., Any]], Call
     """
 
     def add(function: Callable[..., Any]) -> Callable[..., Any]:
-        ending = click.option(
-            "--plot-format", type=click.Choice(["png", "svg", "pdf"]), default="png", show_default=True,
-            help="Of the pictures.", expose_value=False, is_eager=True, callback=_keep_ending,
-        )  # fmt: skip
         folder = click.option(
             "--plot", *aliases, "plots", type=FOLDER, metavar="DIR",
             callback=_checked, help=f"Write pictures to this folder: {what}.",
         )  # fmt: skip
-        return folder(ending(function))
+        return folder(plot_format_option(function))
 
     return add
+
+
+def plot_format_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--plot-format` to a command; `picture_ending` tells it."""
+    return click.option(
+        "--plot-format", type=click.Choice(["png", "svg", "pdf"]), default="png", show_default=True,
+        help="Of the pictures.", expose_value=False, is_eager=True, callback=_keep_ending,
+    )(function)  # fmt: skip
 
 
 def picture_ending() -> str:

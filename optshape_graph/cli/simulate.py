@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from optshape_graph.cli.console import say
-from optshape_graph.cli.options import ANGLE, DISTANCE, FILE, Number, force_option, seed_option
+from optshape_graph.cli.options import ANGLE, DISTANCE, FILE, Number, example, force_option, seed_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ NOISE_OPTIONS = {
     "azimuth_noise": ("--azimuth-noise-deg", "DEG", 45.0, "Standard deviation of one azimuth."),
     "elevation_noise": ("--elevation-noise-deg", "DEG", 45.0, "Standard deviation of one elevation."),
     "ring_bias": ("--ring-bias", "METRES", 100.0, "Standard deviation over rings of the range bias of a ring."),
+    "elevation_error": ("--elevation-error-deg", "DEG", 5.0, "Standard deviation over rings of a ring's elevation."),
+    "azimuth_error": ("--azimuth-error-deg", "DEG", 5.0, "Standard deviation over rings of a ring's azimuth."),
     "range_resolution": ("--range-resolution", "METRES", 100.0, "Step to which ranges are rounded."),
     "dropout": ("--dropout", "P", 1.0, "Share of the returns lost at normal incidence; more at grazing."),
     "hit_fraction": ("--hit-fraction", "P", 1.0, "Share of a beam that must lie on a target to return from it."),
@@ -38,7 +40,9 @@ def noise_options(function: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
-@click.command()
+@click.command(
+    epilog=example("optshape simulate --target paper --sensor vlp32c --range 8 --rpy 20 30 30 --noise 1 -o scan.pcd")
+)
 @click.option("--target", "target_name", default="paper", show_default=True, help="Built-in name, NAME@AREA, or file.")
 @click.option("--sensor", "sensor_name", default="vlp32c", show_default=True, help="Built-in name or file.")
 @click.option("--range", "distance", type=DISTANCE, metavar="METRES", help="Distance of the target, along x.")
@@ -90,8 +94,6 @@ def command(
     With --range: the returns on one target that faces the sensor, turned by --rpy, its vertex mean at the distance
     along x. With --scene: the returns of everything in the scene. The truth has the output's name, ending in .json:
     pose and vertices of every target in the LiDAR frame. A file that is there is written over only with --force.
-
-    Example: optshape simulate --target paper --sensor vlp32c --range 8 --rpy 20 30 30 --noise 1 -o scan.pcd
     """
     import numpy as np
 
@@ -155,7 +157,7 @@ def _noise(
 
     noise = NoiseModel.of(sensor) if level == "sensor" else NoiseModel.level(int(level), range_only)
     given: dict[str, Any] = {
-        part: float(np.radians(value)) if part in ("azimuth_noise", "elevation_noise") else value
+        part: float(np.radians(value)) if NOISE_OPTIONS[part][1] == "DEG" else value
         for part, value in parts.items()
         if value is not None
     }

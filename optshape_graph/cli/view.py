@@ -7,18 +7,18 @@ from pathlib import Path
 import click
 
 from optshape_graph.cli.console import say, warn
-from optshape_graph.cli.options import FILE, force_option
+from optshape_graph.cli.options import FILE, example, force_option
 from optshape_graph.names import shell_word
 
 
-@click.command()
+@click.command(epilog=example("optshape view poses.json --save poses.rrd"))
 @click.argument("file", type=click.Path(path_type=Path), metavar="RESULT.json|SCAN")
 @click.option("--target", "targets", multiple=True,
               help="Target file, for a result that names a target which is not built in; may be repeated.")  # fmt: skip
 @click.option("--save", "recording", type=FILE, metavar="FILE.rrd",
               help="Write a recording for Rerun instead of opening a viewer.")  # fmt: skip
 @click.option("--open3d", "with_open3d", is_flag=True, help="Open a window of Open3D instead of Rerun.")
-@click.option("--scan", "step", type=click.IntRange(min=0), default=0, show_default=True,
+@click.option("--scan", "step", type=click.IntRange(0, 1_000_000_000), default=0, show_default=True,
               help="Which scan of the result, counted from 0, with --open3d; Rerun has a slider.")  # fmt: skip
 @force_option
 def command(
@@ -31,8 +31,6 @@ def command(
     are, or beside it.
 
     Rerun's viewer collects anonymous usage data unless told not to: rerun analytics disable.
-
-    Example: optshape view poses.json --save poses.rrd
     """
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_target

@@ -3,5 +3,6 @@
 from optshape_graph.detection.detect import detect_targets
 from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.detection.results import Detection, Detections, Evidence, Rejection
+from optshape_graph.detection.tracker import TargetTracker
 
-__all__ = ["Detection", "DetectionOptions", "Detections", "Evidence", "Rejection", "detect_targets"]
+__all__ = ["Detection", "DetectionOptions", "Detections", "Evidence", "Rejection", "TargetTracker", "detect_targets"]

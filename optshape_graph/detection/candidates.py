@@ -12,7 +12,7 @@ from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.detection.patches import Patch
 from optshape_graph.detection.segments import OrderedScan, Runs, find_borders, find_runs, ring_ends
 from optshape_graph.errors import EstimationError
-from optshape_graph.pose.association import ReturnsPlane, fit_plane
+from optshape_graph.plane import ReturnsPlane, fit_plane
 from optshape_graph.target import Target
 
 

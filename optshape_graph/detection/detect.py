@@ -13,8 +13,8 @@ from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.detection.patches import find_patches
 from optshape_graph.detection.results import Detection, Detections, Rejection
 from optshape_graph.detection.segments import OrderedScan, order_scan
-from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.scan import Scan
+from optshape_graph.errors import EstimationError, InputError, expect
+from optshape_graph.scan import Scan, put_right
 from optshape_graph.target import Target
 
 _DEFAULTS = DetectionOptions()
@@ -36,7 +36,9 @@ def detect_targets(scan: Scan, targets: Target | Sequence[Target], options: Dete
     Raises:
         InputError: no targets, something else than targets, two targets of one name, or a scan without rings.
     """
-    wanted = _wanted(targets)
+    expect("scan", scan, Scan)
+    expect("options", options, DetectionOptions)
+    wanted, scan = _wanted(targets), put_right(scan)
     try:
         ordered = order_scan(scan, options)
     except EstimationError:

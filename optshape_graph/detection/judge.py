@@ -50,15 +50,22 @@ def outline_error(estimate: PoseEstimate) -> float:
 def returns_of(scan: OrderedScan, target: Target, T_lidar_target: Floats, margin: float) -> Ints:
     """Return the rows (N,) of a target's returns: in its plane, inside its outline or at most `margin` outside.
 
-    A ring whose rays nearly all pass through the target's place does not meet it: what returns there is a pole.
+    A ring whose rays nearly all pass through the target's place does not meet it: what returns there is a pole. Rays
+    within the margin may pass beside the target, and about a sharp tip most of a ring's do; they count only where what
+    returns is in the margin too.
     """
     rays = returned_near(scan, T_lidar_target, target.circumradius + margin)
     band = scan.band(T_lidar_target[:3, 0], T_lidar_target[:3, 3])
     within, behind, ring = target.contains(rays.crossing, margin), rays.points[:, 0], scan.ring[rays.rows]
     on, through = within & (np.abs(behind) <= band), within & (behind > band)
-    n_rings = len(scan.elevations)
-    count_on, count_through = (np.bincount(ring[which], minlength=n_rings) for which in (on, through))
-    pierced = count_through >= np.maximum(scan.options.pierced_rays, scan.options.pierced_share * count_on)
+
+    def by_ring(which: Bools) -> Ints:
+        return np.bincount(ring[which], minlength=len(scan.elevations))
+
+    inside = target.contains(rays.crossing)
+    beside = 2 * by_ring(on & inside) < by_ring(on)
+    count_through = np.where(beside, by_ring(through), by_ring(through & inside))
+    pierced = count_through >= np.maximum(scan.options.pierced_rays, scan.options.pierced_share * by_ring(on))
     return np.asarray(rays.rows[on & ~pierced[ring]])
 
 

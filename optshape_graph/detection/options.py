@@ -15,7 +15,7 @@ class DetectionOptions:
     """Settings of `detect_targets`. The defaults suit spinning LiDARs of 16 to 128 rings.
 
     Each attribute says its unit, how its default was chosen, and the test in tests/detection that notices when it is
-    wrong; test_options.py names those that no test there notices.
+    wrong. test_options.py moves every one of them to where it is.
 
     Attributes:
         longest_gap: azimuth steps. Two returns of a ring that are further apart are cut apart. Rings on real targets
@@ -61,7 +61,7 @@ class DetectionOptions:
         grazing: rad. The floor before a box is seen at up to this angle of incidence: 15 m away, from 1.3 m.
             Test: test_options.py.
         pierced_rays: rays of a ring that pass through the target's place, at least, before the ring is not its.
-            Test: test_detect.py, pole in the plane.
+            Test: test_options.py.
         pierced_share: and their number as a multiple of the ring's returns on it. Test: test_detect.py, pole in the
             plane.
         rounds: the returns are chosen again, by the outline laid over them, at most this often. The recorded boards

@@ -13,7 +13,7 @@ import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.detection.segments import OrderedScan, ring_ends
-from optshape_graph.pose.association import ReturnsPlane
+from optshape_graph.plane import ReturnsPlane
 from optshape_graph.target import Target
 
 _ANGLES = np.linspace(0.0, 2 * np.pi, 36, endpoint=False)

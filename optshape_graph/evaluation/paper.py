@@ -14,7 +14,7 @@ from optshape_graph.target import Target
 
 NOT_REPRODUCED = {
     "1": "photographs of the target and a scan of it: see figure 8 for the fit, `design export` for the target",
-    "2": "a sketch of the optimisation: `design optimise --plots` draws the search itself",
+    "2": "a sketch of the optimisation: `design optimise --plot` draws the search itself",
     "11 and 12": "photographs of the experiment",
 }
 """Figures of the paper, by number, and why there is none of ours."""
@@ -36,6 +36,23 @@ def table_1(
     sweep = SimulationSweep(target, distances=distances, noise=("1",), draws=draws, seed=seed)
     rows = run_simulation(sweep, folder, progress=progress)
     return beside_published(summarise(rows, ("method", "noise", "orientation", "range_m")))
+
+
+def figure_10(
+    target: Target, folder: str | Path, draws: int, seed: int = 0, progress: Progress | None = None
+) -> list[Row]:
+    """Run the simulations of the paper's charts, 2 to 40 m at two levels of noise, and return a row for each cell.
+
+    Args:
+        target: the paper's.
+        folder: where finished tasks are kept.
+        draws: scans of each cell.
+        seed: of everything random.
+        progress: called as tasks finish.
+    """
+    sweep = SimulationSweep(target, methods=("global",), noise=("1", "3"), draws=draws, seed=seed)
+    rows = run_simulation(sweep, folder, progress=progress)
+    return summarise(rows, ("method", "noise", "orientation", "range_m"))
 
 
 def columns_of(

@@ -92,7 +92,7 @@ class SimulatedRig(Value):
             for name in cameras
         }  # fmt: skip
         bias = {name: NoiseModel.of(m).draw_range_bias(m.n_rings, rng) for name, m in models.items()}
-        up = {name: rng.normal(0.0, m.elevation_error, m.n_rings) for name, m in models.items()}
+        up = {name: rng.normal(0.0, m.elevation_sds) for name, m in models.items()}
         return cls(models, lenses, poses, bias, up)
 
     def pair(self, a: str, b: str) -> Floats:

@@ -22,6 +22,18 @@ SPARSE = 5
 FEW_RETURNS = 30
 """Returns on a target below which more of them are the first thing to ask for."""
 
+TURNED = 45.0
+"""Degrees by which a pose is off that is another one."""
+
+MOSTLY = 0.9
+"""Share of a cell's scans that should end ok."""
+
+TOO_SURE = 1.25
+"""Normalised error squared per degree of freedom from which covariances are said to be too small."""
+
+OUTSTANDING = 3.0
+"""Times the median error from which a scan is named."""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -47,7 +59,7 @@ def verdict_of(document: Mapping[str, Any]) -> Verdict:
     """Return the verdict on a result.
 
     Args:
-        document: what `optshape estimate`, `detect`, `calibrate` or `map` writes as JSON.
+        document: what `optshape estimate`, `detect`, `calibrate`, `map`, `evaluate` or `design choose` writes as JSON.
 
     Raises:
         InputError: another form.
@@ -191,6 +203,62 @@ def _choice(document: Mapping[str, Any]) -> Verdict:
     return Verdict("Good", sentence, (f"hang its origin {abs(height):.2f} m {side} the sensor",))
 
 
+def _simulation(document: Mapping[str, Any]) -> Verdict:
+    cells = [cell for cell in document["cells"] if cell["method"] == "global"] or document["cells"]
+    count, ok = (sum(cell[name] for cell in cells) for name in ("scans", "ok"))
+    turned = [cell for cell in cells if (cell["worst_ok_e_r_deg"] or 0.0) > TURNED]
+    given = [cell for cell in cells if cell["nees_per_dof"] is not None]
+    nees = np.average([cell["nees_per_dof"] for cell in given], weights=[cell["scans"] for cell in given] or None)
+    worst = min(cells, key=lambda cell: cell["ok"] / cell["scans"])
+    sentence = (
+        f"{ok} of {count} scans of '{document['target']}' end ok; normalised errors squared are {nees:.2f} per degree "
+        "of freedom, 1 where covariances are right"
+    )
+    advice = []
+    if turned:
+        places = ", ".join(f"{cell['range_m']:g} m {cell['orientation']}" for cell in turned[:3])
+        advice.append(f"poses that are ok are more than {TURNED:g} deg off at {places}: do not rely on them there")
+    if worst["ok"] < MOSTLY * worst["scans"]:
+        advice.append(
+            f"at {worst['range_m']:g} m, {worst['orientation']}, {worst['ok']} of {worst['scans']} are ok: a larger "
+            "target, or a nearer place"
+        )
+    if nees > TOO_SURE:
+        advice.append("covariances are too small: widen them by that factor")
+    level: Level = "Not usable" if turned or ok < count / 2 else "Usable with care" if advice else "Good"
+    return Verdict(level, sentence, tuple(advice))
+
+
+def _mocap_evaluation(document: Mapping[str, Any]) -> Verdict:
+    scans, mean = document["scans"], document["mean"]
+    left_out = [f"{item['scan']} was left out: {item['reason']}" for item in document["left_out"]]
+    if mean is None:
+        return Verdict("Not usable", "no scan could be compared with its markers", tuple(left_out))
+    sentence = (
+        f"{len(scans)} scans agree with the markers to {1e3 * mean['rmse_m']:.1f} mm (vertices), "
+        f"{1e3 * mean['e_t_m']:.1f} mm and {mean['e_r_deg']:.2f} deg in the mean, each compared in a frame fitted to "
+        "the others"
+    )
+    other = document["reference_mean"]
+    if other is not None:
+        sentence += (
+            f"; the reference to {1e3 * other['rmse_m']:.1f} mm, {1e3 * other['e_t_m']:.1f} mm and "
+            f"{other['e_r_deg']:.2f} deg in the same way"
+        )
+    worst = max(scans, key=lambda scan: scan["rmse_m"])
+    times = worst["rmse_m"] / float(np.median([scan["rmse_m"] for scan in scans]))
+    advice = []
+    if times > OUTSTANDING:
+        advice.append(
+            f"look at {worst['session']}/{worst['scan']} first: {1e3 * worst['rmse_m']:.0f} mm, {times:.1f} times the "
+            f"median, at {worst['distance_m']:.1f} m"
+        )
+    if len(scans) < SPARSE:
+        advice.append(f"take at least {SPARSE} scans, at several ranges and tilts")
+    level: Level = "Usable with care" if advice or left_out else "Good"
+    return Verdict(level, sentence, (*advice, *left_out))
+
+
 def _of_share(good: int, count: int, what: str, sizes: str, advice: list[str]) -> Verdict:
     level: Level = "Good" if count and good == count else "Usable with care" if good > count / 2 else "Not usable"
     return Verdict(level, f"{good} of {count} {what}{sizes}", tuple(advice))
@@ -228,6 +296,8 @@ _JUDGES: dict[str, Callable[[Mapping[str, Any]], Verdict]] = {
     "rig": _rig,
     "map": _map,
     "design-choice": _choice,
+    "simulation-evaluation": _simulation,
+    "mocap-evaluation": _mocap_evaluation,
 }
 
 JUDGED = tuple(sorted(_JUDGES))

@@ -26,47 +26,74 @@ One scan of a square target, its edge points and their edges known, on the pose 
 
 In a larger graph `SummaryFactor` links T_world_target and T_world_lidar, `VertexFactor` adds the vertices,
 `SensorParameterFactor` an inset or a range bias, and `ShapeFactor` leaves the shape itself free.
+
+Names are imported when they are first used: measurements need no GTSAM.
 """
 
-from optshape_graph.factors._callback import CheckedFactor
-from optshape_graph.factors.sensor_parameters import (
-    AugmentedMeasurement,
-    SensorParameterFactor,
-    azimuth_directions,
-    edge_motion_rows,
-    plane_motion_rows,
-    range_directions,
-)
-from optshape_graph.factors.measurement import Measured, TemplateMeasurement, edge_rows, plane_rows, refine, template_rows
+from typing import TYPE_CHECKING
+
+from optshape_graph._lazy import lazy
 from optshape_graph.se3 import inverse_covariance
-from optshape_graph.factors.shape import (
-    FreeVertexFactor,
-    ShapeFactor,
-    ShapeMeasurement,
-    TemplatePrior,
-    VertexFactor,
-    shape_rows,
-)
-from optshape_graph.factors.static import (
-    EDGE_OFFSET,
-    ELEVATION,
-    RANGE_BIAS,
-    BiasedMeasurement,
-    SharedError,
-    fuse_static,
-    ring_bias_columns,
-)
-from optshape_graph.factors.summary import LandmarkFactor, Summary, SummaryFactor, summarise
-from optshape_graph.factors.template import (
-    PointToEdgeFactor,
-    PointToPlaneFactor,
-    TemplateCallbackFactor,
-    TemplateFactor,
-)
+
+if TYPE_CHECKING:
+    from optshape_graph.factors._callback import CheckedFactor
+    from optshape_graph.factors.sensor_parameters import (
+        AugmentedMeasurement,
+        SensorParameterFactor,
+        azimuth_directions,
+        edge_motion_rows,
+        plane_motion_rows,
+        range_directions,
+    )
+    from optshape_graph.factors.measurement import Measured, TemplateMeasurement, edge_rows, plane_rows, refine, template_rows
+    from optshape_graph.factors.shape import (
+        FreeVertexFactor,
+        ShapeFactor,
+        ShapeMeasurement,
+        TemplatePrior,
+        VertexFactor,
+        shape_rows,
+    )
+    from optshape_graph.factors.static import (
+        BLOOMING,
+        BRIGHTNESS,
+        EDGE_OFFSET,
+        ELEVATION,
+        OF_RINGS,
+        AZIMUTH,
+        RANGE_BIAS,
+        BiasedMeasurement,
+        SharedError,
+        fuse_static,
+        ring_bias_columns,
+    )
+    from optshape_graph.factors.summary import LandmarkFactor, Summary, SummaryFactor, summarise
+    from optshape_graph.factors.template import (
+        PointToEdgeFactor,
+        PointToPlaneFactor,
+        TemplateCallbackFactor,
+        TemplateFactor,
+    )
+
+_HOME = {
+    "_callback": "CheckedFactor",
+    "measurement": "Measured TemplateMeasurement edge_rows plane_rows refine template_rows",
+    "sensor_parameters": "AugmentedMeasurement SensorParameterFactor azimuth_directions "
+    "edge_motion_rows plane_motion_rows range_directions",
+    "shape": "FreeVertexFactor ShapeFactor ShapeMeasurement TemplatePrior VertexFactor shape_rows",
+    "static": "AZIMUTH BLOOMING BRIGHTNESS BiasedMeasurement EDGE_OFFSET "
+    "ELEVATION OF_RINGS RANGE_BIAS SharedError fuse_static ring_bias_columns",
+    "summary": "LandmarkFactor Summary SummaryFactor summarise",
+    "template": "PointToEdgeFactor PointToPlaneFactor TemplateCallbackFactor TemplateFactor",
+}
 
 __all__ = [
+    "BLOOMING",
+    "BRIGHTNESS",
     "EDGE_OFFSET",
     "ELEVATION",
+    "OF_RINGS",
+    "AZIMUTH",
     "RANGE_BIAS",
     "AugmentedMeasurement",
     "BiasedMeasurement",
@@ -101,3 +128,5 @@ __all__ = [
     "summarise",
     "template_rows",
 ]
+
+__getattr__, __dir__ = lazy(__name__, _HOME)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from typing import TYPE_CHECKING
 
-import gtsam
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
+
+if TYPE_CHECKING:
+    import gtsam
 
 
 def checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
@@ -44,6 +47,56 @@ def triangular(stack: Floats) -> Floats:
     return R if len(R) == n else np.vstack([R, np.zeros((n - len(R), n))])
 
 
+MANY_COLUMNS = 24
+"""From so many columns on it pays to look for parts of a stack that share none."""
+
+
+def triangular_by_parts(stack: Floats, k: int) -> Floats:
+    """Return what `triangular` returns, up to signs of rows, of a stack whose first k columns are mostly zeros.
+
+    Columns that no row has together are of different parts, such as the errors of different rings: each part is
+    reduced by itself, and what is left of all parts together. So the work grows with the rows, not with the square of k
+    times the rows (block-angular least squares; Golub and Plemmons, Linear Algebra Appl. 1980).
+
+    Args:
+        stack: (m, n) rows.
+        k: number of columns that may be split.
+    """
+    n = stack.shape[1]
+    if k < MANY_COLUMNS:
+        return triangular(stack)
+    part_of_row, part_of_column = _parts(stack[:, :k])
+    reduced, left = np.zeros((n, n)), [stack[part_of_row < 0, k:]]
+    order = np.argsort(part_of_row, kind="stable")
+    rows_of = np.split(order, np.searchsorted(part_of_row[order], np.arange(part_of_column.max() + 2)))
+    for part, rows in enumerate(rows_of[1:-1]):
+        columns = np.flatnonzero(part_of_column == part)
+        if not len(rows):
+            continue
+        places = np.append(columns, np.arange(k, n))
+        R = triangular(stack[np.ix_(rows, places)])
+        reduced[np.ix_(columns, places)] = R[: len(columns)]
+        left.append(R[len(columns) :, len(columns) :])
+    reduced[k:, k:] = triangular(np.vstack(left))
+    return reduced
+
+
+def _parts(columns: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The part of each row (m,), -1 where columns (m, k) are all zero, and of each column (k,), counted from 0."""
+    m, k = columns.shape
+    row, column = np.divmod(np.flatnonzero(columns), k)
+    label = np.arange(k)
+    while True:  # the smallest label goes from column to row to column
+        of_row, spread = np.full(m, k), label.copy()
+        np.minimum.at(of_row, row, label[column])
+        np.minimum.at(spread, column, of_row[row])
+        if (spread == label).all():
+            break
+        label = spread
+    _, part = np.unique(label, return_inverse=True)
+    return np.where(of_row < k, part[np.minimum(of_row, k - 1)], -1), part
+
+
 def root(covariance: ArrayLike) -> Floats:
     """Return a square root S (n, n) of a covariance S S^T (n, n) matrix, which may be singular."""
     values, vectors = np.linalg.eigh(np.asarray(covariance, float))
@@ -58,7 +111,7 @@ def marginalised(columns: Floats, stack: Floats) -> Floats:
         stack: (m, n) whitened rows.
     """
     k = columns.shape[1]
-    return triangular(np.vstack([np.eye(k, k + stack.shape[1]), np.hstack([columns, stack])]))[k:, k:]
+    return triangular_by_parts(np.vstack([np.eye(k, k + stack.shape[1]), np.hstack([columns, stack])]), k)[k:, k:]
 
 
 def factored(stacks: Floats) -> Floats:
@@ -85,5 +138,7 @@ def in_plane(vectors: Floats) -> Floats:
 
 def gaussian(S: Floats, loss: gtsam.noiseModel.mEstimator.Base | None = None) -> gtsam.noiseModel.Base:
     """Return the noise of square root information S, which may be singular, with a robust loss if one is given."""
+    import gtsam  # measurements alone, and so the estimate of a pose, do without
+
     noise = gtsam.noiseModel.Gaussian.SqrtInformation(S, False)
     return noise if loss is None else gtsam.noiseModel.Robust.Create(loss, noise)

@@ -23,9 +23,9 @@ from operator import add
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, Value, frozen
+from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
-from optshape_graph.factors._rows import checked, marginalised, root, triangular
+from optshape_graph.factors._rows import checked, marginalised, root, triangular, triangular_by_parts
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
 from optshape_graph.se3 import adjoint, inverse, vec_derivative
 
@@ -56,9 +56,16 @@ def ring_bias_columns(
     return B
 
 
-RANGE_BIAS, ELEVATION, EDGE_OFFSET, OUTER_EDGE = "range bias", "elevation", "edge offset", "outer edge"
-"""Kinds of errors of the sensor that the pose estimator knows: of ranges; of rings' elevations; of how far in the
-returns at all edges lie; and of where between two rings the target ends."""
+RANGE_BIAS, ELEVATION, AZIMUTH = "range bias", "elevation", "azimuth"
+EDGE_OFFSET, OUTER_EDGE = "edge offset", "outer edge"
+"""Kinds of errors of the sensor that the pose estimator knows: of rings' ranges, elevations and azimuths; of how far in
+the returns at all edges lie; and of where between two rings the target ends."""
+
+OF_RINGS = (RANGE_BIAS, ELEVATION, AZIMUTH)
+"""Kinds of errors that a ring of a sensor keeps, in all scans of it."""
+
+BRIGHTNESS, BLOOMING = "range bias by brightness", "blooming"
+"""Kinds of errors that a surface's brightness makes: of all its ranges; and of how much further its rings reach."""
 
 SURFACE = ("surface turned about y", "surface turned about z", "surface shifted along x")
 STRAIN = ("aspect", "shear")
@@ -151,7 +158,9 @@ class BiasedMeasurement(Value):
         columns = checked("bias columns", B, (len(rows), -1))
         stack = np.column_stack([columns, rows, checked("constants", r, (len(rows),))])
         errors = [SharedError(RANGE_BIAS, ring=i) for i in range(columns.shape[1])] if shared is None else shared
-        return cls(triangular(stack), len(rows), np.asarray(T_target_lidar, float), tuple(errors))
+        return cls(
+            triangular_by_parts(stack, columns.shape[1]), len(rows), np.asarray(T_target_lidar, float), tuple(errors)
+        )
 
     def __add__(self, other: BiasedMeasurement) -> BiasedMeasurement:
         """Return the measurement of both scans: the same beta, everything else independent.
@@ -170,7 +179,7 @@ class BiasedMeasurement(Value):
                     f"against {_words(theirs - mine)}: marginalise them in each scan first, with `without`"
                 )
         errors = tuple(dict.fromkeys(self.shared + other.shared))
-        stack = triangular(np.vstack([self._columns_for(errors), other._columns_for(errors)]))
+        stack = triangular_by_parts(np.vstack([self._columns_for(errors), other._columns_for(errors)]), len(errors))
         return BiasedMeasurement(stack, self.n_rows + other.n_rows, self.T_target_lidar, errors)
 
     def _columns_for(self, errors: tuple[SharedError, ...]) -> Floats:
@@ -190,10 +199,18 @@ class BiasedMeasurement(Value):
         kept = [i for i, error in enumerate(self.shared) if error not in errors]
         g, k = len(gone), len(self.shared)
         ordered = self.stack[:, [*gone, *kept, *range(k, k + 13)]]
-        R = triangular(np.vstack([np.eye(g, k + 13), ordered]))
+        R = triangular_by_parts(np.vstack([np.eye(g, k + 13), ordered]), k)
         return BiasedMeasurement(R[g:, g:], self.n_rows, self.T_target_lidar, tuple(self.shared[i] for i in kept))
 
-    def displaced(self, errors: Sequence[SharedError], effect: ArrayLike, T_target_lidar: ArrayLike) -> BiasedMeasurement:
+    def rescaled(self, kind: str, factor: float) -> BiasedMeasurement:
+        """Return the measurement with the unit of the shared errors of a kind so many times as large."""
+        stack = self.stack.copy()
+        stack[:, [i for i, error in enumerate(self.shared) if error.kind == kind]] *= factor
+        return BiasedMeasurement(stack, self.n_rows, self.T_target_lidar, self.shared)
+
+    def displaced(
+        self, errors: Sequence[SharedError], effect: ArrayLike, T_target_lidar: ArrayLike
+    ) -> BiasedMeasurement:
         """Return the measurement where further errors displace the pose, as a whole, in all scans alike.
 
         The minimum stays where it is; the covariance of the pose grows by effect effect^T, however many scans are fused.
@@ -247,8 +264,30 @@ class BiasedMeasurement(Value):
         # In units of sigma the prior's rows are the identity, and sigma = 0 needs no special case.
         unit = self.stack.copy()
         unit[:, :k] *= sigmas
-        R = triangular(np.vstack([np.eye(k, k + 13), unit]))
+        R = triangular_by_parts(np.vstack([np.eye(k, k + 13), unit]), k)
         return TemplateMeasurement.from_stack(R[k:, k:], self.n_rows, self.T_target_lidar)
+
+    def of_one_scan(self) -> TemplateMeasurement:
+        """Return the measurement of one scan alone: the elevations of its rings count as exact.
+
+        What an error of theirs does to one scan is within what its ring ends scatter; of many it would be the mean's
+        error.
+        """
+        return self.marginal(1.0)
+
+
+def angle_errors(by_elevation: Floats, by_azimuth: Floats, ring: Ints) -> tuple[Floats, tuple[SharedError, ...]]:
+    """Return what errors of rings' elevations and azimuths do to rows, as columns (N, 2 R), and the errors (2 R,).
+
+    Args:
+        by_elevation: (N,) how far a standard deviation of its ring's elevation moves each row, in the rows' unit.
+        by_azimuth: (N,) the same of its azimuth.
+        ring: (N,) of each row.
+    """
+    rings, column = np.unique(ring, return_inverse=True)
+    own = column[:, None] == np.arange(len(rings))
+    columns = np.hstack([by_elevation[:, None] * own, by_azimuth[:, None] * own])
+    return columns, tuple(SharedError(kind, ring=int(k)) for kind in (ELEVATION, AZIMUTH) for k in rings)
 
 
 def fuse_static(measurements: Sequence[BiasedMeasurement], sigma: ArrayLike) -> TemplateMeasurement:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.factors._rows import factored, gaussian
 from optshape_graph.factors.measurement import Measured, TemplateMeasurement, measurement_of
-from optshape_graph.se3 import PoseLike, adjoint, as_matrix, inverse, vec, vec_derivative
+from optshape_graph.se3 import PoseLike, adjoint, as_matrix, as_transform, inverse, vec, vec_derivative
 
 RANK_TOLERANCE = 1e-9
 """Ratio of a diagonal entry of R to the largest, below which that direction counts as not measured."""
@@ -179,7 +179,7 @@ def LandmarkFactor(
     Raises:
         InputError: neither a measurement nor an estimate, or an estimate that failed.
     """
-    return _summary(measurement, T_target_lidar).landmark_factor(k_target, T_world_lidar, loss)
+    return _summary(measurement, T_target_lidar).landmark_factor(k_target, as_transform(T_world_lidar, "T_world_lidar"), loss)
 
 
 def _summary(measurement: TemplateMeasurement | Measured, T_target_lidar: PoseLike | None) -> Summary:

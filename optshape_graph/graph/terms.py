@@ -132,8 +132,12 @@ class TemplatesModel(Value):
         """Add the linearisation to a graph."""
         root = np.sqrt(self.weight)
         blocks = self.chains.derivatives(self.R * root[:, None, None], self.state)
-        for keys, by, d in zip(self.chains.keys, blocks, -self.d * root[:, None], strict=True):
-            add_rows(linear, keys, by, d)
+        unit, right = _unit(6), -self.d * root[:, None]
+        for keys, by, d in zip(self.chains.keys, blocks, right, strict=True):
+            if len(keys) == 2 and keys[0] != keys[1]:  # nearly all: a sensor and a target
+                linear.add(keys[0], by[0], keys[1], by[1], d, unit)
+            else:
+                add_rows(linear, keys, by, d)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

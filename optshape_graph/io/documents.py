@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from optshape_graph.errors import InputError
-from optshape_graph.io.files import read_text, write_atomically
+from optshape_graph.io.files import is_file, read_text, write_atomically
 from optshape_graph.io.nodes import Node
 from optshape_graph.io.schemas import load_schema
 from optshape_graph.io.validation import check
@@ -27,6 +27,7 @@ from optshape_graph.io.yaml_core import dump_yaml, parse_yaml
 __all__ = [
     "Node",
     "check_document",
+    "named_files",
     "read_document",
     "read_json",
     "read_plain",
@@ -86,6 +87,24 @@ def check_document(root: Node, kind: str, version: int = 1) -> None:
             )
         schema.expected(f"'{wanted}'")
     check(root, load_schema(f"{kind}-{version}"))
+
+
+def named_files(path: str | Path) -> list[Path]:
+    """Return the files that a document names, whatever their keys: texts that lead to a file from its folder.
+
+    Raises:
+        InputError: the document is not readable.
+    """
+
+    def texts(value: Any) -> Iterator[str]:
+        if isinstance(value, str):
+            yield value
+        elif isinstance(value, dict | list):
+            for item in value.values() if isinstance(value, dict) else value:
+                yield from texts(item)
+
+    folder = Path(path).parent
+    return [folder / text for text in dict.fromkeys(texts(read_plain(path).value)) if is_file(folder / text)]
 
 
 def read_yaml(path: str | Path) -> Node:

@@ -54,10 +54,12 @@ def read_bytes(path: str | Path, largest: int = LARGEST_FILE) -> bytes:
     """
     path = Path(path)
     try:
-        _check_regular(path)
-        with path.open("rb") as stream:  # in pieces: read(n) allocates n bytes at once, whatever the file's size
+        expected = _check_regular(path)
+        with path.open(
+            "rb"
+        ) as stream:  # read(n) allocates n bytes at once: of a file its size, of a pipe piece by piece
             pieces, size = [], 0
-            while size <= largest and (piece := stream.read(_PIECE)):
+            while size <= largest and (piece := stream.read(min(expected, largest) + 1 if not size else _PIECE)):
                 pieces.append(piece)
                 size += len(piece)
     except FileNotFoundError as error:
@@ -68,17 +70,21 @@ def read_bytes(path: str | Path, largest: int = LARGEST_FILE) -> bytes:
         raise InputError(f"{path}: cannot be read ({_reason(error)})") from error
     if size > largest:
         raise InputError(f"{path}: larger than {largest} bytes, the most that is read of such a file")
-    return b"".join(pieces)
+    return b"".join(pieces)  # of one piece: itself
 
 
-def _check_regular(path: Path) -> None:
-    """Refuse what is no file: a device has no end, and a named pipe may have none, nor a beginning.
+def _check_regular(path: Path) -> int:
+    """Return the size of a file, of a pipe that of a piece; refuse what is neither.
 
-    What a shell makes of `<(...)`, and /dev/stdin, are pipes that it has filled: they are read.
+    A device has no end, and a named pipe may have none, nor a beginning. What a shell makes of `<(...)`, and
+    /dev/stdin, are pipes that it has filled: they are read.
     """
-    mode = path.stat().st_mode
-    if stat.S_ISREG(mode) or (stat.S_ISFIFO(mode) and path.parts[:2] in (("/", "dev"), ("/", "proc"))):
-        return
+    found = path.stat()
+    mode = found.st_mode
+    if stat.S_ISREG(mode):
+        return found.st_size
+    if stat.S_ISFIFO(mode) and path.parts[:2] in (("/", "dev"), ("/", "proc")):
+        return _PIECE
     kind = "folder" if stat.S_ISDIR(mode) else "named pipe" if stat.S_ISFIFO(mode) else "device"
     raise InputError(f"{path}: expected a file, found a {kind}")
 

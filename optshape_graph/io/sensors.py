@@ -19,6 +19,7 @@ from optshape_graph.sensor import SensorModel
 _METRES = {
     "range_noise_m": "range_noise",
     "ring_bias_m": "ring_bias",
+    "brightness_bias_m": "brightness_bias",
     "beam_aperture_m": "beam_aperture",
     "beam_crossing_m": "beam_crossing",
     "range_resolution_m": "range_resolution",
@@ -27,10 +28,44 @@ _METRES = {
 }
 """Keys of lengths, and the attributes of `SensorModel` that they set."""
 
+_DEGREES = {
+    "azimuth_step_deg": "azimuth_step",
+    "beam_divergence_deg": "beam_divergence",
+    "elevation_error_deg": "elevation_error",
+    "azimuth_error_deg": "azimuth_error",
+    "blooming_deg": "blooming",
+}
+"""Keys of angles, likewise."""
+
+_DEGREES_BY_RING = {
+    "azimuth_offsets_deg": "azimuth_offsets",
+    "azimuth_offsets_deg_sd": "azimuth_sd",
+    "elevations_deg_sd": "elevation_sd",
+    "reported_elevations_deg": "reported_elevations",
+    "reported_azimuth_offsets_deg": "reported_azimuth_offsets",
+}
+"""Keys of lists of angles, likewise."""
+
+_BY_RING = {"range_bias_m": "range_bias", "range_bias_m_sd": "range_bias_sd"}
+"""Keys of other lists, likewise."""
+
+_FIRING = {"firing_times_us": "firing_phases", "firing_times_us_sd": "firing_sd"}
+"""Keys of lists of times, which the attributes have as shares of the cycle of firings."""
+
+_SHARES = {"edge_offset": "edge_offset", "edge_offset_sd": "edge_offset_sd", "odd_ends": "odd_ends"}
+"""Keys of numbers without a unit, likewise."""
+
 ALIKE = np.radians(1.5)
 """Up to this much the beams of a unit differ from its model's data sheet, rad."""
 
-ASSUMED = {"range_noise": 0.01, "ring_bias": 0.01, "beam_divergence": np.radians(0.17), "beam_aperture": 0.01}
+ASSUMED = {
+    "range_noise": 0.01,
+    "ring_bias": 0.01,
+    "brightness_bias": 0.005,
+    "blooming": np.radians(0.04),
+    "beam_divergence": np.radians(0.17),
+    "beam_aperture": 0.01,
+}
 """What is assumed of a sensor of which nothing but its beams is known, metres and rad."""
 
 
@@ -59,17 +94,23 @@ def load_sensor(name_or_path: str | Path, folder: Path | None = None) -> SensorM
 def _own(root: Node) -> SensorModel:
     fields, path = root.entries(), root.path
     parameters: dict[str, Any] = {
-        attribute: fields[key].number() for key, attribute in _METRES.items() if key in fields
+        attribute: fields[key].number() for key, attribute in (_METRES | _SHARES).items() if key in fields
     }
-    for key in ("azimuth_step_deg", "beam_divergence_deg", "elevation_error_deg"):
+    for key, attribute in _DEGREES.items():
         if key in fields:
-            parameters[key.removesuffix("_deg")] = float(np.radians(fields[key].number()))
-    if "azimuth_offsets_deg" in fields:
-        parameters["azimuth_offsets"] = np.radians(fields["azimuth_offsets_deg"].numbers(-1))
-    if "firing_times_us" in fields:
-        if "firing_period_us" not in fields:
-            fields["firing_times_us"].fail("firing times need 'firing_period_us' beside them")
-        parameters["firing_phases"] = fields["firing_times_us"].numbers(-1) / fields["firing_period_us"].number()
+            parameters[attribute] = float(np.radians(fields[key].number()))
+    for key, attribute in _DEGREES_BY_RING.items():
+        if key in fields:
+            parameters[attribute] = np.radians(fields[key].numbers(-1))
+    for key, attribute in _BY_RING.items():
+        if key in fields:
+            parameters[attribute] = fields[key].numbers(-1)
+    for key, attribute in _FIRING.items():
+        if key in fields:
+            if "firing_period_us" not in fields:
+                fields[key].fail("firing times need 'firing_period_us' beside them")
+            period = fields["firing_period_us"].number()
+            parameters |= {attribute: fields[key].numbers(-1) / period, "firing_period": 1e-6 * period}
     name = fields["name"].text() if "name" in fields else path.stem
     elevations = np.radians(fields["elevations_deg"].numbers(-1))
     try:
@@ -120,15 +161,17 @@ def save_sensor(path: str | Path, sensor: SensorModel) -> None:
         "name": sensor.name,
         "elevations_deg": np.degrees(sensor.elevations).tolist(),
     }
-    if sensor.azimuth_step is not None:
-        document["azimuth_step_deg"] = float(np.degrees(sensor.azimuth_step))
-    if sensor.azimuth_offsets is not None:
-        document["azimuth_offsets_deg"] = np.degrees(sensor.azimuth_offsets).tolist()
-    if sensor.firing_phases is not None:
-        document["firing_times_us"], document["firing_period_us"] = sensor.firing_phases.tolist(), 1.0
-    document["elevation_error_deg"] = float(np.degrees(sensor.elevation_error))
-    document["beam_divergence_deg"] = float(np.degrees(sensor.beam_divergence))
-    for key, attribute in _METRES.items():
+    for key, attribute in (_DEGREES | _DEGREES_BY_RING).items():
+        if (angles := getattr(sensor, attribute)) is not None:
+            document[key] = np.degrees(angles).tolist()
+    for key, attribute in _BY_RING.items():
+        if (values := getattr(sensor, attribute)) is not None:
+            document[key] = values.tolist()
+    for key, attribute in _FIRING.items():
+        if (phases := getattr(sensor, attribute)) is not None:
+            document["firing_period_us"] = 1e6 * sensor.firing_period
+            document[key] = (1e6 * sensor.firing_period * phases).tolist()
+    for key, attribute in (_METRES | _SHARES).items():
         value = float(getattr(sensor, attribute))
         if np.isfinite(value):  # without a largest range, the key is left out
             document[key] = value

@@ -12,7 +12,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.camera import CameraIntrinsics
-from optshape_graph.errors import InputError
+from optshape_graph.errors import InputError, expect
 from optshape_graph.io.builtin import builtin_names
 from optshape_graph.io.cameras import load_camera
 from optshape_graph.io.documents import Node, read_document
@@ -136,11 +136,6 @@ class Session(Value):
     platform_moves: bool = False
     initial: tuple[About, ...] = ()
 
-    def files(self) -> list[Path]:
-        """Return the files of the views."""
-        named = [(view.scan, view.image, view.target_points, view.corners) for view in self.views]
-        return [path for paths in named for path in paths if path is not None]
-
 
 def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
     """Read a session and what it names: sensors, targets, intrinsics, markers. Scans and images stay files.
@@ -158,6 +153,7 @@ def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
         InputError: not readable; a missing, unknown or wrong key; a file that is missing or wrong; a LiDAR, camera,
             target, vertex, marker or marker frame that is not there. The message names file, line and key.
     """
+    expect("path", path, str, Path)
     path = Path(path)
     root = read_document(path, "session", anywhere=allow_outside)
     fields = root.entries()

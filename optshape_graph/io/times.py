@@ -25,6 +25,9 @@ REVOLUTION_S = (0.02, 1.2)
 LEAST_SWEEP = np.radians(1.0)
 """Azimuth that a scan must sweep to tell how long a revolution takes, rad."""
 
+AZIMUTH_BIN = np.radians(0.05)
+"""Width of the bins in which azimuths are counted, rad."""
+
 _UNITS = (1.0, 1e-3, 1e-6, 1e-9)
 
 
@@ -60,7 +63,7 @@ def _date(word: str) -> float | None:
 
 
 def seconds_of_points(
-    time: NDArray[Any], unit: float | None, stamp: float | None, azimuth: Floats | None
+    time: NDArray[Any], unit: float | None, stamp: float | None, points: Floats | None
 ) -> Floats | None:
     """Return per-point times (N,) as seconds (N,) relative to the scan's stamp; None: they are no times.
 
@@ -76,33 +79,42 @@ def seconds_of_points(
         time: (N,) of any numeric type, in `unit`, or in seconds, milli-, micro- or nanoseconds.
         unit: in seconds, where the source says it.
         stamp: the scan's, seconds since 1970, if known.
-        azimuth: (N,) rad, from which the revolution is told; None: not looked at.
+        points: (N, 3) metres, LiDAR frame, whose azimuths tell the revolution; None: not looked at.
     """
     floating = time.dtype.kind == "f"
-    if floating:
-        time = time.astype(np.float64)
-        if not (np.abs(time) < 1e20).all():  # False for NaN
-            return None
-    first, duration = time.min(), float(time.max()) - float(time.min())
+    first, last = time.min(), time.max()
+    if floating and not (first > -1e20 and last < 1e20):  # False for NaN
+        return None
+    duration = float(last) - float(first)
     ticks = ticks_per_second(float(first))
     epoch = first > 0 and (ticks > 1 or (floating and float(first) >= EPOCH_S)) and duration / ticks <= LONGEST_SCAN_S
     if unit is None and epoch:
         unit = 1 / ticks
     elif unit is None:
-        unit = _unit_of_floats(duration, azimuth) if floating else _UNITS[-1]
+        unit = _unit_of_floats(duration, points) if floating else _UNITS[-1]
     if float(first) * unit >= EPOCH_S / 10:  # since 1970
         offset = 0.0 if stamp is None else float(first) * unit - stamp
-        return np.asarray((time - first) * unit + offset)
+        seconds = _scaled(time, first, unit)
+        seconds += offset
+        return seconds
     own_clock = abs(float(first)) * unit > LONGEST_SCAN_S
-    return np.asarray((time - first if own_clock else time) * unit)
+    return _scaled(time, first if own_clock else None, unit)
 
 
-def _unit_of_floats(duration: float, azimuth: Floats | None) -> float:
+def _scaled(time: NDArray[Any], first: np.generic | None, unit: float) -> Floats:
+    """Times (N,) from the first on, in seconds; integers are subtracted as integers: a float would lose nanoseconds."""
+    seconds = (time if first is None else time - first).astype(np.float64)
+    if unit != 1:
+        seconds *= unit
+    return seconds
+
+
+def _unit_of_floats(duration: float, points: Floats | None) -> float:
     """The largest unit in which the scan is short enough, or the only one in which a revolution takes what it takes."""
     unit = next((u for u in _UNITS if duration * u <= LONGEST_SCAN_S), _UNITS[-1])
-    if azimuth is None or not duration:
+    if points is None or not duration:
         return unit
-    swept = _swept(azimuth)
+    swept = _swept(points)
     if swept < LEAST_SWEEP:
         return unit
     shortest, longest = REVOLUTION_S
@@ -110,8 +122,13 @@ def _unit_of_floats(duration: float, azimuth: Floats | None) -> float:
     return unit if unit in possible or len(possible) != 1 else possible[0]
 
 
-def _swept(azimuth: Floats) -> float:
-    """The circle without the largest gap between azimuths, rad."""
-    ordered = np.sort(azimuth)
-    gaps = np.append(np.diff(ordered), 2 * np.pi - (ordered[-1] - ordered[0]))
-    return float(2 * np.pi - gaps.max())
+def _swept(points: Floats) -> float:
+    """The circle without the largest gap between azimuths, rad, to within `AZIMUTH_BIN`."""
+    n = round(2 * np.pi / AZIMUTH_BIN)
+    azimuth = np.arctan2(points[:, 1], points[:, 0], dtype=np.float32)
+    azimuth *= n / (2 * np.pi)
+    seen = np.zeros(n, dtype=bool)
+    seen[np.floor(azimuth, out=azimuth).astype(np.int16) % n] = True
+    hit = np.flatnonzero(seen)
+    gaps = np.append(np.diff(hit), n - (hit[-1] - hit[0]))
+    return float(2 * np.pi - (gaps.max() - 1) * AZIMUTH_BIN)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -13,12 +13,12 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 
-from optshape_graph._arrays import Floats, Ints, Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import UnobservableError
 from optshape_graph.factors import BiasedMeasurement, SharedError, summarise
 from optshape_graph.factors.static import RANGE_BIAS
 from optshape_graph.graph import Chain, Chains, Inverse, Solution
-from optshape_graph.graph.shared import gain, persistent
+from optshape_graph.graph.shared import Gain, gain, persistent
 from optshape_graph.io.trajectories import PoseGraph, PoseGraphEdge, Trajectory
 from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.track import MappingProblem, Match
@@ -185,7 +185,7 @@ class BatchSolution(Value):
             raise UnobservableError(f"the map is not determined: {error}", error.directions) from error
         return persistent(self.solution.system, keys, self._gains()) if self.biased else plain
 
-    def _gains(self) -> Iterator[tuple[list[tuple[Ints, Floats]], list[Hashable]]]:
+    def _gains(self) -> Iterator[Gain]:
         """What errors that each match took for its own add to the information vector, by match; see `persistent`."""
         system, numbers = self.solution.system, list(self.biased)
         matches = [self.problem.matches[k] for k in numbers]
@@ -197,7 +197,7 @@ class BatchSolution(Value):
             target = system.index([self.keys.landmarks[match.landmark]])
             lidar = system.index([self.keys.poses[t][match.pose]])
             blocks = [(target, -adjoint(inverse(H)).T @ G[:6]), (lidar, G[:6]), (system.index([key])[ranges], G[6:])]
-            yield blocks, [(t, match.sighting.lidar, error) for error in own]
+            yield Gain(blocks, [(t, match.sighting.lidar, error) for error in own], [True] * len(own))
 
     def map(self) -> Map:
         """Return the map.

@@ -85,8 +85,10 @@ class Candidate:
     def takes(self, pose: int, sighting: Sighting, graph: IncrementalGraph) -> bool:
         """Add a sighting if it agrees with the first one under some of their hypotheses; say whether."""
         first_pose, first = self.sightings[0]
-        if pose == self.latest or sighting.landmark != self.landmark or sighting.target.name != first.target.name:
+        if sighting.landmark != self.landmark or sighting.target.name != first.target.name:
             return False
+        if (pose, sighting.lidar) in ((k, one.lidar) for k, one in self.sightings[-2:]):
+            return False  # a LiDAR sees a thing once at a time
         distances = _disagreements(
             [first.summaries[choice[0]] for choice in self.choices],
             sighting.summaries,

@@ -6,7 +6,7 @@ moves on, stale summaries are made again, some after every few poses, or all of 
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,12 +15,13 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import Summary, summarise
 from optshape_graph.factors._rows import gaussian
+from optshape_graph.factors.static import ELEVATION
 from optshape_graph.graph.linear import LinearSystem
-from optshape_graph.graph.shared import gain, persistent
+from optshape_graph.graph.shared import Gain, gain, persistent
 from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.smoother import Smoother, joint_prior, root_of
 from optshape_graph.mapping.track import Match, Odometry, Start
@@ -145,23 +146,26 @@ class IncrementalGraph:
                 raise InputError(f"pose {pose} is not in the graph")
         keys = [self.landmarks[name].key for name in landmarks]
         pending = self._pending
-        if pending is None or pending.pose not in poses:
-            return self._smoother.covariance([*keys, *map(X, poses)])
-        if pending.odometry is None:
-            raise InputError(f"pose {pending.pose} is linked to nothing yet")
-        # X' = X D moves by Ad(D^-1) xi + the error of D.
-        before = [pending.odometry.i if pose == pending.pose else pose for pose in poses]
+        # X' = X D moves by Ad(D^-1) xi + the error of D; a pose may be asked for twice.
+        before = list(poses)
+        if pending is not None and pending.pose in poses:
+            if pending.odometry is None:
+                raise InputError(f"pose {pending.pose} is linked to nothing yet")
+            before = [pending.odometry.i if pose == pending.pose else pose for pose in poses]
         distinct = list(dict.fromkeys(before))
         joint = self._smoother.covariance([*keys, *map(X, distinct)])
+        if distinct == list(poses):
+            return joint
         J = np.zeros((6 * (len(keys) + len(poses)), len(joint)))
         J[: 6 * len(keys), : 6 * len(keys)] = np.eye(6 * len(keys))
-        added = np.zeros((len(J), len(J)))
+        E = np.zeros((len(J), 6))  # by the error of D
         for n, (pose, known) in enumerate(zip(poses, before, strict=True), len(keys)):
             rows, columns = slice(6 * n, 6 * n + 6), 6 * (len(keys) + distinct.index(known))
-            D = pending.odometry.T_i_j if pose == pending.pose else np.eye(4)
+            D = np.eye(4)
+            if pending is not None and pending.odometry is not None and pose == pending.pose:
+                D, E[rows] = pending.odometry.T_i_j, np.eye(6)
             J[rows, columns : columns + 6] = adjoint(inverse(D))
-            if pose == pending.pose:
-                added[rows, rows] = pending.odometry.covariance
+        added = E @ pending.odometry.covariance @ E.T if pending is not None and pending.odometry is not None else 0.0
         return np.asarray(J @ joint @ J.T + added)
 
     def covariance_with_biases(self, landmarks: Sequence[str] = (), poses: Sequence[int] = ()) -> Floats:
@@ -178,16 +182,19 @@ class IncrementalGraph:
         keys = [*(self.landmarks[name].key for name in landmarks), *map(X, poses)]
         return persistent(system, keys, self._gains(system))
 
-    def _gains(self, system: LinearSystem) -> Iterator[tuple[list[tuple[Ints, Floats]], list[Hashable]]]:
-        """What the errors of rings add to the information vector, by match; all are taken for its own."""
+    def _gains(self, system: LinearSystem) -> Iterator[Gain]:
+        """What the errors of rings add to the information vector, by match: ranges its own, elevations exact."""
         for held in self._held:
             measurement = held.match.biased
             if measurement is not None:
-                G = gain(measurement, held.T_target_lidar, measurement.shared)
+                errors = measurement.shared
+                exact = [error for error in errors if error.kind == ELEVATION]  # as `one_scan` has them
+                G = gain(measurement, held.T_target_lidar, errors, exact)
                 target, lidar = self.landmarks[held.match.landmark].key, X(held.match.pose)
                 by_target = -adjoint(inverse(held.T_target_lidar)).T @ G
                 blocks = [(system.index([target]), by_target), (system.index([lidar]), G)]
-                yield blocks, [(held.match.sighting.lidar, error) for error in measurement.shared]
+                names = [(held.match.sighting.lidar, error) for error in errors]
+                yield Gain(blocks, names, [error not in exact for error in errors])
 
     def map(self) -> Map:
         """Return the landmarks."""

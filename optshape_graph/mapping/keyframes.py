@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.errors import InputError
-from optshape_graph.io.clouds import read_scan
-from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
-from optshape_graph.io.sessions import Session
+from optshape_graph.io.recordings.stream import Stamped
 from optshape_graph.mapping.odometry import OdometryTrack
+from optshape_graph.mapping.source import Lidar, in_turn
 from optshape_graph.mapping.sweep import Sweep
 from optshape_graph.scan import Scan, rings_missing
 from optshape_graph.se3 import angle, inverse
@@ -57,6 +55,8 @@ class Keyframe(NamedTuple):
         sweep: motion of the LiDAR about it; None: no odometry.
         distance: metres gone since the keyframe before.
         linked: whether that motion leads from keyframe to keyframe, and not within the scan only.
+        lidar: name of the LiDAR, of several on one robot.
+        T_first_lidar: (4, 4) of it in the frame of the first of them, whose poses are the map's; None: it is that one.
     """
 
     stamp: float
@@ -64,11 +64,16 @@ class Keyframe(NamedTuple):
     sweep: Sweep | None
     distance: float
     linked: bool = True
+    lidar: str = ""
+    T_first_lidar: Floats | None = None
 
     @property
-    def T_odometry_lidar(self) -> Floats | None:
-        """(4, 4) at the stamp; None: no odometry."""
-        return self.sweep.T_odometry_lidar if self.sweep is not None and self.linked else None
+    def T_odometry_first(self) -> Floats | None:
+        """(4, 4) of the first LiDAR at the stamp; None: no odometry."""
+        if self.sweep is None or not self.linked:
+            return None
+        T = self.sweep.T_odometry_lidar
+        return T if self.T_first_lidar is None else T @ inverse(self.T_first_lidar)
 
 
 @dataclass
@@ -101,10 +106,7 @@ def keyframes(
     progress: Progress,
     unknown: Sweep | None = None,
 ) -> Iterator[Keyframe]:
-    """Choose keyframes of a stream of scans.
-
-    Without odometry every scan that the policy's time allows is one. A scan before the odometry begins or after it
-    ends is skipped and counted.
+    """Choose keyframes of the scans of one LiDAR; see `keyframes_of`.
 
     Args:
         scans: in order of time.
@@ -116,10 +118,35 @@ def keyframes(
     Raises:
         InputError: the first scan has no rings: no target would be found.
     """
-    last: tuple[float, Floats] | None = None
+    return keyframes_of([Lidar("", scans)], odometry, policy, progress, unknown)
+
+
+def keyframes_of(
+    lidars: Sequence[Lidar],
+    odometry: OdometryTrack | None,
+    policy: KeyframePolicy,
+    progress: Progress,
+    unknown: Sweep | None = None,
+) -> Iterator[Keyframe]:
+    """Choose keyframes of the scans of a robot's LiDARs, in order of time, those of each LiDAR by themselves.
+
+    Without odometry every scan that the policy's time allows is one. A scan before the odometry begins or after it
+    ends is skipped and counted.
+
+    Args:
+        lidars: with their scans.
+        odometry: of the first LiDAR; None: there is none.
+        policy: which scans are used.
+        progress: counts what happens.
+        unknown: the motion within each scan where there is no odometry; None: the LiDARs are at rest.
+
+    Raises:
+        InputError: the first scan has no rings: no target would be found.
+    """
+    last: dict[str, tuple[float, Floats]] = {}
     before: Floats | None = None
     distance = 0.0
-    for stamp, scan in ((item.stamp, item.value) for item in scans):
+    for lidar, (stamp, scan) in ((lidar, (item.stamp, item.value)) for lidar, item in in_turn(lidars)):
         progress.scans += 1
         progress.span = (stamp if progress.span is None else progress.span[0], stamp)
         if not len(scan):
@@ -127,24 +154,28 @@ def keyframes(
             continue
         if scan.ring is None and not progress.keyframes:
             raise rings_missing(scan)
+        mounted = None if lidar is lidars[0] else lidar.T_first_lidar
         if odometry is None:
-            if last is None or not np.isfinite(policy.seconds) or stamp - last[0] >= policy.seconds:
-                last = stamp, np.eye(4)
+            since = stamp - last[lidar.name][0] if lidar.name in last else np.inf
+            if not np.isfinite(policy.seconds) or since >= policy.seconds:
+                last[lidar.name] = stamp, np.eye(4)
                 progress.keyframes += 1
-                yield Keyframe(stamp, scan, unknown, 0.0, linked=False)
+                yield Keyframe(stamp, scan, unknown, 0.0, False, lidar.name, mounted)
             continue
-        sweep = odometry.sweep(stamp, *_spread(scan))
+        sweep = odometry.sweep(stamp, *_spread(scan), lidar.T_first_lidar)
         if sweep is None:
             progress.skipped[NO_ODOMETRY] += 1
             continue
-        T = sweep.T_odometry_lidar
+        frame = Keyframe(stamp, scan, sweep, distance, True, lidar.name, mounted)
+        T = frame.T_odometry_first
+        assert T is not None  # it is linked
         if before is not None:
             distance += float(np.linalg.norm(T[:3, 3] - before[:3, 3]))
         before = T
-        if last is None or policy.wants(inverse(last[1]) @ T, stamp - last[0]):
-            last = stamp, T
+        if lidar.name not in last or policy.wants(inverse(last[lidar.name][1]) @ T, stamp - last[lidar.name][0]):
+            last[lidar.name] = stamp, T
             progress.keyframes += 1
-            yield Keyframe(stamp, scan, sweep, distance)
+            yield frame._replace(distance=distance)
             distance = 0.0
 
 
@@ -153,34 +184,3 @@ def _spread(scan: Scan) -> tuple[float, float]:
     if scan.time is None:
         return -HALF_REVOLUTION, HALF_REVOLUTION
     return float(scan.time.min()), float(scan.time.max())
-
-
-def session_scans(session: Session, skipped: Skipped) -> Iterator[Stamped[Scan]]:
-    """Yield a session's scans by their stamps; without stamps, a second apart in the file's order.
-
-    A file that cannot be read is skipped and counted.
-
-    Raises:
-        InputError: stamps of some views only, or several LiDARs.
-    """
-    stamped = [view for view in session.views if view.stamp is not None]
-    if stamped and len(stamped) < len(session.views):
-        raise InputError(
-            f"{session.path}: {len(stamped)} of {len(session.views)} views have a stamp; expected all or none"
-        )
-    if len(session.lidars) > 1:
-        raise InputError(f"{session.path}: maps are made with one LiDAR, the session has {', '.join(session.lidars)}")
-    views = sorted(session.views, key=lambda view: view.stamp or 0.0)
-    last = -np.inf
-    for k, view in enumerate(views):
-        stamp = float(k) if view.stamp is None else view.stamp
-        if stamp <= last:
-            skipped.add(BadMessage("stamp duplicated", f"{stamp} s"), str(view.cloud))
-            continue
-        try:
-            scan = read_scan(view.cloud, session.lidars[view.lidar], unused=skipped.unused)
-        except InputError as error:
-            skipped.add(BadMessage("unreadable file", str(error)), str(view.cloud))
-            continue
-        last = stamp
-        yield Stamped(stamp, scan)

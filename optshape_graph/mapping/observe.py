@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -37,7 +38,7 @@ class Observed(NamedTuple):
 
     Attributes:
         stamp: seconds.
-        T_odometry_lidar: (4, 4) at the stamp; None: no odometry.
+        T_odometry_lidar: (4, 4) at the stamp, of several LiDARs that of the first; None: no odometry.
         distance: gone since the keyframe before, metres.
         sightings: of targets.
         failure: why the scan could not be used, else empty.
@@ -64,7 +65,7 @@ def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: 
         biases: whether to keep what tells the biases of the LiDAR's rings: a few kilobytes for each sighting.
     """
     scan, sweep = keyframe.scan, keyframe.sweep
-    T_odometry_lidar = keyframe.T_odometry_lidar
+    T_odometry_lidar = keyframe.T_odometry_first
     moving = sweep is not None and scan.time is not None and bool((np.abs(sweep.twist) > SLOW).any())
     straight = deskew(scan, sweep) if sweep is not None and moving else scan
     try:
@@ -86,7 +87,10 @@ def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: 
         else:
             seen = None
         if seen is not None:
-            sightings.append(seen)
+            first = keyframe.T_first_lidar
+            sightings.append(
+                replace(seen, lidar=keyframe.lidar) if first is None else seen.on_body(first, keyframe.lidar)
+            )
     return Observed(keyframe.stamp, T_odometry_lidar, keyframe.distance, tuple(sightings), "")
 
 
@@ -179,8 +183,7 @@ def observe_all(
     for number, seen in (pool or Pool()).run(work, new()):
         frame = given.pop(number)
         if isinstance(seen, Lost):
-            T = None if frame.sweep is None else frame.sweep.T_odometry_lidar
-            seen = Observed(frame.stamp, T, frame.distance, (), seen.reason)
+            seen = Observed(frame.stamp, frame.T_odometry_first, frame.distance, (), seen.reason)
         if journal is not None:
             journal.add(number, {"seen": to_record(seen)})
         waiting[number] = seen

@@ -3,44 +3,46 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from optshape_graph._arrays import Floats
-from optshape_graph.errors import InputError, MissingExtraError
+from optshape_graph.errors import InputError, MissingExtraError, UnobservableError, expect
 from optshape_graph.io.passed_over import PassedOver
-from optshape_graph.io.recordings import Recording, Skipped, Stamped, Stream
+from optshape_graph.io.recordings import ClockOffset, Recording, Skipped, Stamped, Stream
 from optshape_graph.io.recordings.topics import Mounting
-from optshape_graph.io.sessions import Session, load_session
-from optshape_graph.io.trajectories import Trajectory, is_trajectory, read_trajectory
+from optshape_graph.io.sessions import Session
+from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping.batch import solve_batch
 from optshape_graph.mapping.batch_solution import BatchSolution
+from optshape_graph.mapping.clocks import Clocks, offset_of
 from optshape_graph.mapping.incremental import LandmarkSlam
-from optshape_graph.mapping.keyframes import NO_ODOMETRY, Keyframe, KeyframePolicy, Progress, keyframes, session_scans
+from optshape_graph.mapping.keyframes import NO_ODOMETRY, Keyframe, KeyframePolicy, Progress, keyframes, keyframes_of
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.observe import Observed, observe, observe_all
 from optshape_graph.mapping.odometry import OdometryTrack
 from optshape_graph.mapping.registration import NOISE, moves, scan_odometry, unknown_motion
+from optshape_graph.mapping.source import Lidar, Source, Transforms, open_source, read_extrinsics, session_scans
 from optshape_graph.mapping.sweep import MotionNoise, Sweep
 from optshape_graph.runs.journal import Journal
 from optshape_graph.runs.workers import Pool
-from optshape_graph.scan import Scan
-from optshape_graph.se3 import PoseLike, as_transform, inverse
+from optshape_graph.se3 import PoseLike, inverse
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 __all__ = [
-    "Keyframe", "KeyframePolicy", "MapResult", "MotionNoise", "Observed", "OdometryTrack", "Progress", "build_map",
-    "keyframes", "map_recording", "observe", "observe_all", "session_scans",
+    "Clocks", "Keyframe", "KeyframePolicy", "Lidar", "MapResult", "MotionNoise", "Observed", "OdometryTrack",
+    "Progress", "build_map", "keyframes", "keyframes_of", "map_recording", "observe", "observe_all", "read_extrinsics",
+    "session_scans",
 ]  # fmt: skip
 
 MANY = 60
 """Scans from which on several processes are worth their start."""
 
 MOST_LOST = 0.5
-"""Share of the scans that may be lost before a map is not to be trusted to show what was there."""
+"""Share of the scans with which lost a map is not to be trusted to show what was there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +59,7 @@ class MapResult:
         passed_over: what was not used of scans and odometry, those skipped by `skipped` and `progress` among them.
         mounting: where the LiDAR is on the body that the odometry is of, as the recording has it; None: it was given,
             or there is no odometry.
+        clocks: of scans and odometry.
         warnings: what was taken for granted, in words.
         problems: why the map is not to be trusted, in words; empty: nothing says so.
     """
@@ -69,6 +72,7 @@ class MapResult:
     skipped: Skipped
     passed_over: PassedOver
     mounting: Mounting | None = None
+    clocks: Clocks = field(default_factory=Clocks)
     warnings: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
 
@@ -81,33 +85,20 @@ class MapResult:
 
     @property
     def trajectory(self) -> Trajectory:
-        """T_world_lidar over time."""
+        """T_world_lidar over time, of several LiDARs that of the first."""
         return self.map.trajectories[self.session]
-
-
-@dataclass(eq=False)
-class _Source:
-    """What is mapped: a recording or a session, opened."""
-
-    name: str
-    scans: Iterable[Stamped[Scan]]
-    expected: int | None
-    skipped: Callable[[], Skipped]
-    targets: Sequence[Target]
-    poses: Iterable[Stamped[Floats]] | None = None
-    mounting: Mounting | None = None
-    warnings: list[str] = field(default_factory=list)
 
 
 def map_recording(
     recording: str | Path | Recording | Session,
     targets: Target | Sequence[Target] = (),
-    sensor: SensorModel | None = None,
+    sensor: SensorModel | Mapping[str, SensorModel] | None = None,
     *,
-    scans: str | None = None,
+    scans: str | Sequence[str] | None = None,
     odometry: str | Path | Trajectory | None = None,
-    mounting: PoseLike | None = None,
-    clock_offset: float = 0.0,
+    mounting: PoseLike | Mapping[str, PoseLike] | None = None,
+    extrinsics: Transforms | None = None,
+    clock_offset: float | Literal["auto"] = 0.0,
     known: Map | None = None,
     one_each: bool = False,
     keyframe: KeyframePolicy | None = None,
@@ -123,18 +114,23 @@ def map_recording(
     """Map the targets that a recording saw, and where it saw them from.
 
     Scans are placed by odometry, and by what they have in common with others; without odometry, by that alone. Scans
-    that cannot be used are skipped with a reason and counted.
+    that cannot be used are skipped with a reason and counted. Several LiDARs of one robot make one map; its poses are
+    of the first. A clock that was set back in between is followed.
 
     Args:
         recording: a ROS 1 or ROS 2 bag, an .mcap file, a folder of clouds with timestamps.txt, or a session (.yaml),
             by its path or opened.
         targets: to look for; a session names its own.
-        sensor: the LiDAR; a session names its own.
-        scans: topic of the scans; None: the only one.
+        sensor: the LiDAR, or of each topic of scans its own; a session names its own.
+        scans: topic of the scans, or topics of several LiDARs on one robot; None: the only one.
         odometry: topic of poses, a TUM file, or a trajectory; "none" for none; None: the only topic of poses, if there
             is one.
-        mounting: T_body_lidar (4, 4) on the body that the odometry is of; None: the recording's static transforms.
-        clock_offset: seconds to add to the stamps of the odometry to have those of the scans.
+        mounting: T_body_lidar (4, 4) on the body that the odometry is of, of the first LiDAR, or by topic (in a
+            session by the LiDAR's name); None: the recording's static transforms.
+        extrinsics: T_a_b (4, 4) by the names of frames a and b, as of `read_extrinsics`, beside the recording's own:
+            where LiDARs are.
+        clock_offset: seconds to add to the stamps of the odometry to have those of the scans; "auto": estimated, by how
+            fast scans and odometry say that the robot turned.
         known: map to start from: surveyed landmarks, or one made before.
         one_each: there is one of each target: its name is the landmark's.
         keyframe: which scans are used; None: after half a metre or ten degrees.
@@ -149,18 +145,25 @@ def map_recording(
         report: called after every keyframe.
 
     Raises:
-        InputError: no such recording, topic or file, no targets, stamps that do not follow, or `as_built_sigma`
-            without the batch solution.
+        InputError: no such recording, topic or file, no targets, a LiDAR of several whose place is not known,
+            stamps that do not follow, or `as_built_sigma` without the batch solution.
+        MissingExtraError: kiss-icp is absent, which the estimate of the clock offset needs.
+        UnobservableError: the motion does not tell the clock offset.
     """
     if as_built_sigma is not None and (lag is not None or not batch):
         raise InputError("as-built vertices need the batch solution, so no lag, and a batch")
-    source = _opened(recording, [targets] if isinstance(targets, Target) else list(targets), sensor, scans, odometry)
-    track, unknown = _track(source, mounting, noise, clock_offset)
+    expect("recording", recording, str, Path, Recording, Session)
+    wanted = [targets] if isinstance(targets, Target) else list(targets)
+    for target in wanted:
+        expect("targets", target, Target)
+    source = open_source(recording, wanted, sensor, scans, odometry, mounting, extrinsics)
+    offset = _offset(source, clock_offset)
+    track, unknown = _track(source, noise, offset)
     noise = MotionNoise() if track is None else track.noise
     progress = Progress(expected=source.expected)
     slam = LandmarkSlam(known, lag=lag, confirmations=confirmations or (1 if track is None else 2), name=source.name)
     seen = observe_all(
-        keyframes(source.scans, track, keyframe or KeyframePolicy(), progress, unknown),
+        keyframes_of(source.lidars, track, keyframe or KeyframePolicy(), progress, unknown),
         source.targets,
         one_each,
         as_built_sigma is not None,
@@ -174,10 +177,13 @@ def map_recording(
     if batch and lag is None and result.landmarks:
         solution = solve_batch(slam.problem(), as_built_sigma=as_built_sigma)
         result = solution.map()
+    read = None if track is None or track.span is None or source.poses is None else track.span
+    own = None if read is None else (read[0] - offset[0], read[1] - offset[0])
+    clocks = Clocks(progress.span, own, *offset, source.jumps)
     return MapResult(
-        result, source.name, solution, dict(slam.counts), progress, source.skipped(),
-        _passed_over(source, progress), source.mounting,
-        tuple(source.warnings), _problems(result, source, track, progress),
+        result, source.name, solution, dict(slam.counts), progress, source.skipped,
+        source.passed_over(progress.skipped), source.mounting, clocks, tuple(source.warnings),
+        _problems(result, source, clocks, progress),
     )  # fmt: skip
 
 
@@ -206,7 +212,7 @@ def build_map(
             progress.skipped[seen.failure] += 1
         if before is None:
             slam.add_odometry(seen.stamp)
-        else:
+        elif seen.stamp > before.stamp:  # several LiDARs may fire at once, from one pose
             seconds = seen.stamp - before.stamp
             if seen.T_odometry_lidar is None or before.T_odometry_lidar is None:
                 slam.add_odometry(seen.stamp)
@@ -221,75 +227,45 @@ def build_map(
             report(progress)
 
 
-def _opened(
-    recording: str | Path | Recording | Session,
-    targets: Sequence[Target],
-    sensor: SensorModel | None,
-    scans: str | None,
-    odometry: str | Path | Trajectory | None,
-) -> _Source:
-    """Open a recording or a session, with its odometry."""
-    if isinstance(recording, str | Path) and Path(recording).suffix.lower() in (".yaml", ".yml", ".json"):
-        recording = load_session(recording)
-    if isinstance(odometry, str | Path) and is_trajectory(odometry):
-        odometry = read_trajectory(odometry)
-    poses = _stamped(odometry) if isinstance(odometry, Trajectory) else None
-    if isinstance(recording, Session):
-        if targets or sensor or scans:
-            raise InputError(f"{recording.path}: a session names its own targets, sensor and scans")
-        if odometry not in (None, "none") and poses is None:
-            raise InputError(f"{recording.path}: a session has no topic '{odometry}'; odometry comes from a file")
-        missed = Skipped()
-        return _Source(
-            recording.path.stem, session_scans(recording, missed), len(recording.views), lambda: missed,
-            list(recording.targets.values()), poses,
-        )  # fmt: skip
-    if not targets:
-        raise InputError("no targets: what is to be looked for in the recording")
-    opened = recording if isinstance(recording, Recording) else Recording(recording)
-    stream = opened.scans(scans, sensor)
-    source = _Source(opened.path.stem, stream, stream.expected, lambda: stream.skipped, targets, poses)
-    topic = odometry if isinstance(odometry, str) else None
-    if poses is None and odometry != "none" and (topic or any(t.kind == "pose" for t in opened.topics)):
-        source.poses = opened.poses(topic)
-        source.mounting = opened.mounting(scans, topic)
-    return source
+def _offset(source: Source, clock_offset: float | Literal["auto"]) -> tuple[float, float | None]:
+    """The clock offset, seconds, and its standard deviation where it was estimated.
 
-
-def _stamped(trajectory: Trajectory) -> list[Stamped[Floats]]:
-    if trajectory.stamps is None:
-        raise InputError(f"{trajectory.name}: odometry needs stamps")
-    return [Stamped(float(stamp), T) for stamp, T in zip(trajectory.stamps, trajectory.poses, strict=True)]
+    Raises:
+        InputError: there is no odometry to estimate it for.
+        UnobservableError: the motion does not tell it.
+    """
+    if clock_offset != "auto":
+        return float(clock_offset), None
+    if source.poses is None:
+        raise InputError(f"{source.name}: no odometry whose clock could be offset")
+    try:
+        found: ClockOffset = offset_of(source.lidars[0].scans, source.poses)
+    except UnobservableError as error:
+        raise UnobservableError(f"{source.name}: {error}; --clock-offset SECONDS gives it", error.directions) from error
+    return found.seconds, found.standard_deviation
 
 
 def _track(
-    source: _Source, mounting: PoseLike | None, noise: MotionNoise | None, clock_offset: float
+    source: Source, noise: MotionNoise | None, offset: tuple[float, float | None]
 ) -> tuple[OdometryTrack | None, Sweep | None]:
     """The odometry of a source, if there is any, else the motion within a scan; warns of what is taken for granted."""
     if source.poses is None:
         return _unknown(source, noise)
-    T_body_lidar = None if mounting is None else as_transform(mounting, "mounting")
-    found, source.mounting = source.mounting, None if mounting is not None else source.mounting
-    if mounting is None and found is not None:
-        T_body_lidar = found.T_body_lidar
-        if T_body_lidar is None and found.body and found.lidar:
-            source.warnings.append(
-                f"odometry is of '{found.body}', scans are in '{found.lidar}', and no static transform links them: "
-                "taken for one frame; --mounting says where the LiDAR is"
-            )
-    poses = source.poses
-    if clock_offset:
-        poses = (Stamped(pose.stamp + clock_offset, pose.value) for pose in poses)
-    return OdometryTrack(poses, T_body_lidar, noise or MotionNoise()), None
+    seconds, sd = offset
+    poses: Iterable[Stamped[Floats]] = source.poses
+    if seconds:
+        poses = (Stamped(pose.stamp + seconds, pose.value) for pose in source.poses)
+    return OdometryTrack(poses, source.T_body_lidar, noise or MotionNoise(), sd or 0.0), None
 
 
-def _unknown(source: _Source, noise: MotionNoise | None) -> tuple[OdometryTrack | None, Sweep | None]:
+def _unknown(source: Source, noise: MotionNoise | None) -> tuple[OdometryTrack | None, Sweep | None]:
     """What stands for odometry where there is none: scans of a LiDAR that moves tell its motion themselves."""
-    if not isinstance(source.scans, Stream) or not moves(source.scans):
+    first = source.lidars[0].scans
+    if not isinstance(first, Stream) or not moves(first):
         source.warnings.append("no odometry: every scan is taken for one made at rest")
         return None, None
     try:
-        poses = list(scan_odometry(source.scans))
+        poses = list(scan_odometry(first))
     except MissingExtraError as error:
         source.warnings.append(
             "no odometry, and the LiDAR moves: targets are off by what it moves within a revolution, which their "
@@ -300,32 +276,20 @@ def _unknown(source: _Source, noise: MotionNoise | None) -> tuple[OdometryTrack 
     return OdometryTrack(poses, None, noise or NOISE), None
 
 
-def _problems(result: Map, source: _Source, track: OdometryTrack | None, progress: Progress) -> tuple[str, ...]:
+def _problems(result: Map, source: Source, clocks: Clocks, progress: Progress) -> tuple[str, ...]:
     """Why a map is not to be trusted to show what was there."""
     problems = []
     if not result.landmarks:
         problems.append("no target was mapped")
-    lost = progress.skipped.total() + sum(source.skipped().values())
-    total = progress.scans + sum(source.skipped().values())
-    if total and lost > MOST_LOST * total:
+    skipped = source.skipped.total()
+    lost, total = progress.skipped.total() + skipped, progress.scans + skipped
+    if total and lost >= MOST_LOST * total:
         problems.append(f"{lost} of {total} scans were lost")
     outside = progress.skipped[NO_ODOMETRY]
-    if track is not None and progress.scans and outside == progress.scans:
-        problems.append(f"no scan lies within the odometry: scans are {_span(progress.span)}, odometry is "
-                        f"{_span(track.span)}: is a clock offset needed?")  # fmt: skip
+    if clocks.odometry is not None and outside and outside >= MOST_LOST * progress.scans:
+        which = "no scan lies" if outside == progress.scans else f"{outside} of {progress.scans} scans do not lie"
+        problems.append(f"{which} within the odometry: {clocks.spans}: is a clock offset needed?")
     return tuple(problems)
-
-
-def _passed_over(source: _Source, progress: Progress) -> PassedOver:
-    skipped = source.skipped()
-    found = PassedOver({"scans": progress.skipped + skipped}, {"scans": skipped.unused})
-    if isinstance(source.poses, Stream):
-        found.skipped[f"messages of {source.poses.name}"] = Counter(source.poses.skipped)
-    return found
-
-
-def _span(span: tuple[float, float] | None) -> str:
-    return "empty" if span is None else f"from {span[0]:.3f} to {span[1]:.3f} s"
 
 
 def _processes(expected: int | None) -> int:

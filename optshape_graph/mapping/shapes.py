@@ -13,14 +13,14 @@ import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
+from optshape_graph.azimuth_grid import level_rings
 from optshape_graph.factors import ShapeMeasurement, shape_rows
 from optshape_graph.factors._rows import gaussian, marginalised
+from optshape_graph.factors.plane_returns import returns_on_plane
 from optshape_graph.graph import Chains, State, add_rows
 from optshape_graph.mapping.batch_solution import Keys
 from optshape_graph.mapping.track import MappingProblem, Sighting
 from optshape_graph.pose import PoseEstimate
-from optshape_graph.pose.azimuth_grid import level_rings
-from optshape_graph.pose.noise import returns_on_plane
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import apply, inverse
 from optshape_graph.target import Target

@@ -55,6 +55,7 @@ class Sweep:
         drift: what odometry drifts by; None: not at all.
         misfit: (2,) squared residuals of the fit, rad2 and m2.
         freedom: number of poses beyond those that a fit needs.
+        clock_sd: standard deviation of the poses' stamps against those of the scans, seconds.
     """
 
     T: Floats
@@ -64,6 +65,7 @@ class Sweep:
     drift: MotionNoise | None = None
     misfit: tuple[float, float] = (0.0, 0.0)
     freedom: int = 0
+    clock_sd: float = 0.0
 
     @classmethod
     def of_twist(cls, twist: Floats) -> Sweep:
@@ -105,10 +107,12 @@ class Sweep:
     def uncertainty(self, a: float, b: float) -> Floats:
         """Return the covariance (6, 6) of a motion's right perturbation, from a to b, rotation first.
 
-        It is that of the fit, by the poses' jitter, and what the odometry drifts by in between.
+        It is that of the fit, by the poses' jitter, what the odometry drifts by in between, and what the LiDAR moves by
+        in the time by which the clocks may differ.
         """
         step = self._powers(np.asarray(b)) - self._powers(np.asarray(a))
         covariance = np.diag(float(step @ self.covariance @ step) * np.square(np.repeat(self.jitter, 3)))
+        covariance += self.clock_sd**2 * np.outer(self.twist, self.twist)
         if self.drift is None:
             return covariance
         return covariance + self.drift.covariance(float(np.linalg.norm(self.twist[3:])) * abs(b - a), abs(b - a))

@@ -17,14 +17,14 @@ from optshape_graph.factors import (
     TemplateMeasurement,
     summarise,
 )
-from optshape_graph.factors.static import EDGE_OFFSET, ELEVATION, RANGE_BIAS
+from optshape_graph.factors.static import EDGE_OFFSET, OF_RINGS, RANGE_BIAS
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
 from optshape_graph.pose import PoseEstimate, PoseOptions
 from optshape_graph.se3 import PoseLike, as_transform, inverse
 from optshape_graph.target import Target
 
-KEPT = (RANGE_BIAS, ELEVATION, EDGE_OFFSET)
+KEPT = (*OF_RINGS, EDGE_OFFSET)
 """Kinds of errors that a LiDAR keeps from scan to scan: of its rings, and how far in the returns at edges lie."""
 
 LOOSEST = 10.0
@@ -278,14 +278,16 @@ class MappingProblem(Value):
 def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
     """What the estimate's returns say before errors that the LiDAR keeps are marginalised.
 
-    Others are of one scan: where the target ends between two rings, and what isn't known of the board itself.
+    Others are of one scan: where the target ends between two rings, and what isn't known of the board itself. Scans
+    share biases of ranges in metres: their unit is the sensor file's deviation, however large a scan shows them.
     """
     if estimate.shared is None:
         return None
-    return estimate.shared.without(
+    kept = estimate.shared.without(
         [
             error
             for error in estimate.shared.shared
             if error.kind not in KEPT or (error.ring is None and error.kind != EDGE_OFFSET)
         ]
     )
+    return kept.rescaled(RANGE_BIAS, 1.0 / estimate.fit.bias_factor)

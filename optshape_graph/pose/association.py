@@ -8,78 +8,21 @@ included. All labellings are solved at once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations_with_replacement
 from math import comb
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints, Value
+from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import EdgePoints
-from optshape_graph.errors import EstimationError
-from optshape_graph.se3 import transform
+from optshape_graph.plane import ReturnsPlane
 from optshape_graph.target import Target
 
 _ANGLES = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
 _PAIRS = np.triu_indices(5)
 _REFINED = 400  # labellings whose angle is refined from the grid's
 _SECTOR = 2  # grid steps between the directions in which a rival is looked for
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ReturnsPlane(Value):
-    """The plane of the returns, with axes like the target's: away from the sensor, left, up.
-
-    Attributes:
-        axes: (3, 3) rows: the plane's unit normal pointing away from the sensor, the direction in the plane in
-            which azimuth grows, and the one in which elevation grows. LiDAR frame.
-        centre: (3,) a point of the plane, metres, LiDAR frame.
-    """
-
-    axes: Floats
-    centre: Floats
-
-    @property
-    def distance(self) -> float:
-        """Distance from the sensor along the normal, metres."""
-        return float(self.axes[0] @ self.centre)
-
-
-def fit_plane(points: Floats, ring: Ints | None) -> ReturnsPlane:
-    """Fit a plane to a target's returns; rings weigh by how many returns they have, but not in proportion.
-
-    A ring's range bias does not average away, so a ring counts at most like a few of its returns.
-
-    Args:
-        points: (N, 3) metres, LiDAR frame.
-        ring: (N,) or None.
-
-    Raises:
-        EstimationError: the returns do not span a plane, or the plane passes through the sensor.
-    """
-    if len(points) < 3:
-        raise EstimationError(f"{len(points)} returns do not span a plane")
-    weights: Floats = np.ones(len(points))
-    if ring is not None:
-        _, inverse, counts = np.unique(ring, return_inverse=True, return_counts=True)
-        weights = np.asarray((1.0 / (1.0 + counts))[inverse])
-    weights /= weights.sum()
-    centre = weights @ points
-    centred = (points - centre) * np.sqrt(weights)[:, None]
-    _, spreads, directions = np.linalg.svd(centred, full_matrices=False)
-    if spreads[1] < 1e-3:
-        raise EstimationError(f"{len(points)} returns lie on a line (they spread {spreads[1] * 1e3:.2g} mm beside it)")
-    normal = directions[2]
-    distance = float(normal @ centre)
-    if abs(distance) < 1e-2 * float(np.linalg.norm(centre)):
-        raise EstimationError("the plane of the returns passes through the sensor: it is seen edge-on")
-    normal = normal * np.sign(distance)
-    turning = np.array([-centre[1], centre[0], 0.0])
-    left = turning - centre * (turning @ normal) / (normal @ centre)
-    left -= normal * (left @ normal)
-    left /= np.linalg.norm(left)
-    return ReturnsPlane(np.array([normal, left, np.cross(normal, left)]), centre)
 
 
 MAX_LABELLINGS = 800
@@ -182,7 +125,7 @@ def enumerate_poses(edges: EdgePoints, plane: ReturnsPlane, target: Target) -> F
     near = _first_different(angle, t / target.circumradius, np.radians(1.5), 0.01, NEAR)
     far = _first_different(angle, t / target.circumradius, np.radians(15.0), 0.3, FAR)
     chosen = np.union1d(near, far)
-    return in_plane_poses(angle[chosen], t[chosen], plane)
+    return plane.poses(angle[chosen], t[chosen])
 
 
 def _solve_2x2(A: Floats, B: Floats) -> Floats:
@@ -243,14 +186,3 @@ def _first_different(angle: Floats, t: Floats, turn: float, move: float, count: 
         free &= (turned >= turn) | (np.hypot(*(t - t[first]).T) >= move)
         free[first] = False
     return np.array(kept, dtype=np.int64)
-
-
-def in_plane_poses(angle: Floats, t: Floats, plane: ReturnsPlane) -> Floats:
-    """Return T_target_lidar (C, 4, 4) of in-plane angles (C,), rad, and translations (C, 2), metres."""
-    c, s = np.cos(angle), np.sin(angle)
-    turn = np.zeros((len(angle), 3, 3))
-    turn[:, 0, 0] = 1.0
-    turn[:, 1, 1] = turn[:, 2, 2] = c
-    turn[:, 1, 2], turn[:, 2, 1] = -s, s
-    R = turn @ plane.axes
-    return transform(R, np.column_stack([np.zeros(len(t)), t]) - R @ plane.centre)

@@ -8,32 +8,73 @@ constraints of a rotation (rows and columns orthonormal, right-handed) and X_10,
 
 bounds the cost of every rotation from below. A multiplier that is not quite feasible still gives a bound: x^T Z x
 is at least 4 min(0, lambda_min(Z)), since |x|^2 = 4 for every rotation. Where a minimum is known, multipliers that are
-tight there are written down (`dual`); where they do not do, and where no pose is known, a solver finds them.
+tight there are written down; where they do not do, and where no pose is known, a solver finds them.
+
+Written down, for a minimum R*:
+
+1. R = W R* takes the cost to a form F in w = [vec W; 1], whose minimum is at W = I, and keeps the constraints.
+2. Subtract the cost, and Gamma : (W^T W - I) with Gamma the symmetric part of the gradient at I. What is left, Z, and
+   its gradient vanish at W = I. (W W^T serves as well as W^T W, and so does the mean of both.)
+3. The points of a planar target lie in x = 0, so F says nothing of the first column of W. Two constraints that vanish
+   on rotations, with zero gradient at I, lend it some of what F says of the other two columns:
+
+       C = W_yx^2 + W_zx^2 - W_xy^2 - W_xz^2,    D = (W_xx - 1)^2 - (W_yy - W_zz)^2 - (W_yz + W_zy)^2.
+
+   Z + c C + d D stays positive on those columns where c / c_max + d / d_max < 1; 0.45 of each is taken.
+4. The smallest eigenvalue of the (10, 10) sum decides.
+
+The rotation constraints do not know on which side of the target the sensor is, and with few rings a pose seen from
+behind, which is impossible, can cost as little. On the -x side, where t_x <= 0, every rotation has
+
+    g = -t_x (1 - e_x^T R R*^T e_x) >= 0,
+
+the product of two numbers that are not negative, quadratic in [vec R; t; 1]. Minus nu g, nu >= 0, joins the cost: no
+pose in front costs more by it, one from behind costs 2 nu t_x more at half a turn, and at R*, where g and its slope
+along rotations vanish, nothing changes. So the bound may stay tight at R* where that without g is not.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations, product
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Value
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.errors import EstimationError, InputError, missing_extra
 from optshape_graph.factors.measurement import TemplateMeasurement, refine
-from optshape_graph.pose.dual import closed_form_bounds
-from optshape_graph.se3 import rotation, transform
+from optshape_graph.se3 import transform
 
 Backend = Literal["closed-form", "clarabel", "cvxpy"]
 """What finds the multipliers: closed-form where that certifies the pose, else Clarabel; Clarabel; Clarabel by cvxpy."""
 
-BEHIND = 9.0
-"""Excess of cost, in squared standard deviations, up to which a pose from behind counts as fitting as well."""
+NOT_TIGHT = "not certified: the bound on other poses of these matches is not tight"
+"""Why a pose that is ok has no certificate."""
 
 _SQUARED_NORM = 4.0  # of x = [vec R; 1], for every rotation
-_UPPER = np.array([(i, j) for j in range(10) for i in range(j + 1)])  # column by column, as Clarabel packs
+
+_SHARE = 0.45
+"""Of c_max and d_max: the two together leave a tenth of what the form says of the last two columns of W."""
+
+_TIGHT = 1e-11
+"""Gap, relative to the trace of the form, below which other multipliers would gain nothing."""
+
+_ROUNDING = 1e-12
+"""Second eigenvalue, relative to the trace of the form, that is rounding."""
+
+_I = np.append(np.eye(3).ravel(), 1.0)  # [vec W; 1] at W = I; W_ij is entry 3 j + i
+_LAST_COLUMNS = np.array([3, 4, 5, 6, 7, 8])
+_PLANE = np.zeros((10, 2))  # W_xy, W_xz
+_PLANE[3, 0] = _PLANE[6, 1] = 1.0
+_STRAIN = np.zeros((10, 2))  # W_yy - W_zz, W_yz + W_zy
+_STRAIN[[4, 8, 5, 7], [0, 0, 1, 1]] = 1.0, -1.0, 1.0, 1.0
+_FIRST = np.zeros(10)  # W_xx - 1
+_FIRST[[0, 9]] = 1.0, -1.0
+_C = np.diag([0.0, 1.0, 1.0, 0, 0, 0, 0, 0, 0, 0]) - _PLANE @ _PLANE.T
+_D = np.outer(_FIRST, _FIRST) - _STRAIN @ _STRAIN.T
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,53 +140,58 @@ def _dual_matrices() -> Floats:
     return np.concatenate([rotation_constraints(), last])
 
 
-def _pack(matrices: Floats) -> Floats:
-    """Pack symmetric (..., 10, 10) as (..., 55), off-diagonal entries scaled by sqrt 2."""
-    i, j = _UPPER.T
-    return np.asarray(matrices[..., i, j] * np.where(i == j, 1.0, np.sqrt(2.0)))
+def _side_form(R: Floats) -> Floats:
+    """(13, 13) form of g in [vec R; t; 1], for R* (3, 3): see the module."""
+    form = np.zeros((13, 13))
+    form[9, 12] = form[12, 9] = -0.5
+    form[9, 0:9:3] = form[0:9:3, 9] = 0.5 * R[0]
+    return form
 
 
-def _unpack(packed: Floats) -> Floats:
-    X = np.zeros((10, 10))
-    i, j = _UPPER.T
-    X[i, j] = X[j, i] = packed / np.where(i == j, 1.0, np.sqrt(2.0))
-    return X
+def _triangle(n: int) -> tuple[Ints, Ints, Floats]:
+    """Rows, columns and factors of a symmetric (n, n) matrix column by column, as Clarabel packs it."""
+    j, i = np.tril_indices(n)
+    return i, j, np.where(i == j, 1.0, np.sqrt(2.0))
 
 
-@lru_cache(maxsize=1)
-def _clarabel_problem() -> tuple[Any, Any, Any, Any]:
+def _solve_clarabel(Q: Floats, matrices: Floats, not_negative: int) -> tuple[Floats, Floats]:
+    """Solve the dual: multipliers (K,) of matrices (K, n, n), the first few of them not negative; and X (n, n)."""
     import clarabel
     from scipy import sparse
 
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
-    A = sparse.csc_matrix(_pack(_dual_matrices()).T)
-    return sparse.csc_matrix((22, 22)), A, [clarabel.PSDTriangleConeT(10)], settings
-
-
-def _solve_clarabel(Q: Floats) -> tuple[Floats, Floats]:
-    import clarabel
-
-    P, A, cones, settings = _clarabel_problem()
-    objective = np.zeros(22)
+    n, k = len(Q), len(matrices)
+    i, j, factor = _triangle(n)
+    A = sparse.csc_matrix(np.vstack([(matrices[:, i, j] * factor).T, -np.eye(not_negative, k)]))
+    b = np.concatenate([Q[i, j] * factor, np.zeros(not_negative)])
+    objective = np.zeros(k)
     objective[-1] = -1.0
-    solution = clarabel.DefaultSolver(P, objective, A, _pack(Q), cones, settings).solve()
-    return np.array(solution.x), _unpack(np.array(solution.z))
+    cones = [clarabel.PSDTriangleConeT(n), clarabel.NonnegativeConeT(not_negative)][: 1 + (not_negative > 0)]
+    solution = clarabel.DefaultSolver(sparse.csc_matrix((k, k)), objective, A, b, cones, settings).solve()
+    X = np.zeros((n, n))
+    X[i, j] = X[j, i] = np.array(solution.z)[: len(i)] / factor
+    return np.array(solution.x), X
 
 
-def _solve_cvxpy(Q: Floats) -> tuple[Floats, Floats]:
+def _solve_cvxpy(Q: Floats, matrices: Floats, not_negative: int) -> tuple[Floats, Floats]:
+    """Solve the primal by the modelling layer; arguments and results as of `_solve_clarabel`."""
     try:
         import cvxpy
     except ImportError as cause:
         raise missing_extra("cvxpy", "sdp", cause) from cause
-    X = cvxpy.Variable((10, 10), PSD=True)
-    equations = [cvxpy.sum(cvxpy.multiply(A, X)) == 0 for A in rotation_constraints()] + [X[9, 9] == 1]
-    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum(cvxpy.multiply(Q, X))), equations)
+    X = cvxpy.Variable(Q.shape, PSD=True)
+    values = [cvxpy.sum(cvxpy.multiply(A, X)) for A in matrices]
+    *equal, one = values[not_negative:]
+    limits = [value >= 0 for value in values[:not_negative]]
+    constraints = [*limits, *(value == 0 for value in equal), one == 1]
+    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum(cvxpy.multiply(Q, X))), constraints)
     problem.solve(solver=cvxpy.CLARABEL)
     if X.value is None:
         raise EstimationError("cvxpy found no solution of the relaxation")
-    return -np.array([float(equation.dual_value) for equation in equations]), np.asarray(X.value)
+    multipliers = np.array([float(constraint.dual_value) for constraint in constraints])
+    return np.where(np.arange(len(multipliers)) < not_negative, multipliers, -multipliers), np.asarray(X.value)
 
 
 def project_rotation(M: Floats) -> Floats:
@@ -154,26 +200,33 @@ def project_rotation(M: Floats) -> Floats:
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
 
 
-def eliminate_translation(Q: Floats) -> tuple[Floats, Floats]:
+def eliminate_translation(Q: Floats, kept: Sequence[int] = ()) -> tuple[Floats, Floats]:
     """Minimise a form (13, 13) in [vec R; t; 1] over t.
 
+    Args:
+        Q: the form.
+        kept: components of t that stay.
+
     Returns:
-        The form (10, 10) in x = [vec R; 1], and K (3, 10) with the best t = K x.
+        The form (10 + k, 10 + k) in x = [vec R; what is kept of t; 1], and K with the best rest of t, K x.
     """
-    rest = np.r_[0:9, 12]
-    B = Q[9:12, 9:12]
+    gone = [9 + axis for axis in range(3) if axis not in kept]
+    rest = [k for k in range(13) if k not in gone]
+    B = Q[np.ix_(gone, gone)]
     # A direction that no row constrains takes t = 0 there: the smallest solution.
-    K = -np.linalg.lstsq(B, Q[9:12][:, rest], rcond=1e-13)[0]
-    form = Q[np.ix_(rest, rest)] + Q[rest][:, 9:12] @ K
+    K = -np.linalg.lstsq(B, Q[np.ix_(gone, rest)], rcond=1e-13)[0]
+    form = Q[np.ix_(rest, rest)] + Q[np.ix_(rest, gone)] @ K
     return 0.5 * (form + form.T), np.asarray(K, dtype=np.float64)
 
 
-def lower_bound(Q: Floats, backend: Backend = "clarabel") -> Bound:
-    """Bound a quadratic cost over all rigid transforms from below.
+def lower_bound(Q: Floats, backend: Backend = "clarabel", R_in_front: Floats | None = None) -> Bound:
+    """Bound a quadratic cost over rigid transforms from below: over all, or those with the sensor on the -x side.
 
     Args:
         Q: (13, 13) symmetric positive semidefinite, cost [z; 1]^T Q [z; 1], z = [vec R (column-major); t].
         backend: "cvxpy": the modelling layer above the same solver; any other: Clarabel, since no pose is known.
+        R_in_front: (3, 3) R* of a pose with the sensor on the -x side: then only such poses are bounded, tightly where
+            it is the best of them. None: all are.
 
     Raises:
         InputError: a backend that does not exist.
@@ -185,12 +238,35 @@ def lower_bound(Q: Floats, backend: Backend = "clarabel") -> Bound:
     scale = float(np.trace(form))
     if not (np.isfinite(scale) and scale > 0):
         raise EstimationError("the measurements constrain no rotation at all")
-    scaled = form / scale
-    multipliers, X = (_solve_cvxpy if backend == "cvxpy" else _solve_clarabel)(scaled)
-    Z = scaled - np.tensordot(multipliers, _dual_matrices(), axes=1)
+    solve = _solve_cvxpy if backend == "cvxpy" else _solve_clarabel
+    if R_in_front is None:
+        multipliers, X = solve(form / scale, _dual_matrices(), 0)
+    else:
+        side = _side_form(R_in_front)
+        multipliers, X = _solve_in_front(Q / scale, side, solve)
+        form, _ = eliminate_translation(Q - scale * multipliers[0] * side)
+        multipliers = multipliers[1:]
+    Z = form / scale - np.tensordot(multipliers, _dual_matrices(), axes=1)
     eigenvalues = np.linalg.eigvalsh(Z)
     bound = multipliers[-1] + _SQUARED_NORM * min(0.0, eigenvalues[0])
     return Bound(bound * scale, float(eigenvalues[1]) * scale, X)
+
+
+def _solve_in_front(
+    Q: Floats, side: Floats, solve: Callable[[Floats, Floats, int], tuple[Floats, Floats]]
+) -> tuple[Floats, Floats]:
+    """Multipliers, nu first, and X (10, 10), of the relaxation that keeps t_x, in a unit in which it weighs like R."""
+    form, _ = eliminate_translation(Q, kept=[0])
+    rotation = [*range(9), 10]
+    unit = np.ones(11)
+    unit[9] = np.sqrt(max(np.trace(form[:9, :9]), 1e-300) / max(form[9, 9], 1e-300))
+    embedded = np.zeros((22, 11, 11))
+    embedded[np.ix_(range(22), rotation, rotation)] = _dual_matrices()
+    g = np.outer(unit, unit) * np.delete(np.delete(side, [10, 11], axis=0), [10, 11], axis=1)
+    size = np.abs(g).max()
+    multipliers, X = solve(np.outer(unit, unit) * form, np.concatenate([g[None] / size, embedded]), 1)
+    multipliers[0] = max(multipliers[0], 0.0) / size
+    return multipliers, X[np.ix_(rotation, rotation)]
 
 
 def solve_relaxation(Q: Floats, backend: Backend = "clarabel") -> Relaxation:
@@ -206,14 +282,82 @@ def solve_relaxation(Q: Floats, backend: Backend = "clarabel") -> Relaxation:
     return Relaxation(T, 2.0 * measurement.error(T), dual.bound)
 
 
+def closed_form_bounds(forms: Floats, rotations: Floats) -> tuple[Floats, Floats]:
+    """Bound quadratic costs over all rotations from below, by multipliers that are tight at known minima.
+
+    Args:
+        forms: (B, 10, 10) costs x^T F x of x = [vec R (column-major); 1].
+        rotations: (B, 3, 3) rotations, a minimum of each cost; elsewhere the bound still holds, but is far below.
+
+    Returns:
+        The bounds (B,), -inf where the form leaves the last two columns of W undetermined; and the second smallest
+        eigenvalue (B,) of the dual's matrix, in the cost's unit, 0 where it is rounding.
+    """
+    count = len(forms)
+    scale = np.trace(forms, axis1=1, axis2=2)
+    to_identity = np.zeros((count, 10, 10))
+    to_identity[:, :9, :9] = _kronecker(np.swapaxes(rotations, 1, 2), np.eye(3)[None])
+    to_identity[:, 9, 9] = 1.0
+    F = np.swapaxes(to_identity, 1, 2) @ (forms / scale[:, None, None]) @ to_identity
+    gradient = F @ _I
+    cost = gradient @ _I
+    by_entry = gradient[:, :9].reshape(count, 3, 3)
+    Gamma = 0.5 * (by_entry + np.swapaxes(by_entry, 1, 2))
+
+    bound, second = np.full(count, -np.inf), np.zeros(count)
+    for of_columns in (1.0, 0.0, 0.5):  # W^T W, W W^T, the mean of both
+        left = np.flatnonzero(cost - bound > _TIGHT)
+        if not len(left):
+            break
+        Z = F[left] - _gram(Gamma[left], of_columns)
+        Z[:, 9, 9] -= cost[left]
+        lent, determined = _lent(Z)
+        eigenvalues = np.linalg.eigvalsh(Z + lent)
+        found = np.where(determined, cost[left] + 4.0 * np.minimum(0.0, eigenvalues[:, 0]), -np.inf)
+        better = found > bound[left]
+        bound[left[better]] = found[better]
+        second[left[better]] = np.where(eigenvalues[better, 1] > _ROUNDING, eigenvalues[better, 1], 0.0)
+    return bound * scale, second * scale
+
+
+def _kronecker(A: Floats, B: Floats) -> Floats:
+    """Return the Kronecker products (K, 9, 9) of matrices (K, 3, 3)."""
+    return np.asarray((A[:, :, None, :, None] * B[:, None, :, None, :]).reshape(-1, 9, 9))
+
+
+def _gram(Gamma: Floats, of_columns: float) -> Floats:
+    """Return the forms (K, 10, 10) of Gamma : (G - I), G = W^T W for a share `of_columns` and W W^T for the rest."""
+    one = np.eye(3)[None]
+    form = np.zeros((len(Gamma), 10, 10))
+    form[:, :9, :9] = of_columns * _kronecker(Gamma, one) + (1.0 - of_columns) * _kronecker(one, Gamma)
+    form[:, 9, 9] = -np.trace(Gamma, axis1=1, axis2=2)
+    return form
+
+
+def _lent(Z: Floats) -> tuple[Floats, Bools]:
+    """Return c C + d D (K, 10, 10) for forms Z (K, 10, 10), and where Z determines the last two columns of W (K,)."""
+    block = Z[:, _LAST_COLUMNS[:, None], _LAST_COLUMNS]
+    values, vectors = np.linalg.eigh(block)
+    determined = values[:, 0] > 1e-12 * values[:, -1]
+    inverse = (vectors / np.where(determined[:, None], values, 1.0)[:, None]) @ np.swapaxes(vectors, 1, 2)
+    share = [_SHARE / _largest(A[_LAST_COLUMNS].T @ inverse @ A[_LAST_COLUMNS]) for A in (_PLANE, _STRAIN)]
+    return share[0][:, None, None] * _C + share[1][:, None, None] * _D, determined
+
+
+def _largest(A: Floats) -> Floats:
+    """Return the largest eigenvalues (K,) of symmetric matrices (K, 2, 2)."""
+    half = 0.5 * (A[:, 0, 0] - A[:, 1, 1])
+    return np.asarray(0.5 * (A[:, 0, 0] + A[:, 1, 1]) + np.hypot(half, A[:, 0, 1]))
+
+
 @dataclass(frozen=True)
 class Certificate:
     """How far a pose can be from the best one, for the association and the weights it was estimated with.
 
     Attributes:
-        certified: the pose is the global minimum: its gap is small enough, by default (0.1 mm)^2 a residual, and the
-            second eigenvalue says that there is no other.
-        gap_m2: (cost of the pose - lower bound on the cost of every pose) / number of residual rows, weights
+        certified: the pose is the global minimum among those with the sensor on the -x side: its gap is small enough,
+            by default (0.1 mm)^2 a residual, and the second eigenvalue says that there is no other.
+        gap_m2: (cost of the pose - lower bound on the cost of every such pose) / number of residual rows, weights
             normalised to mean 1, square metres.
         second_eigenvalue: second smallest eigenvalue of the dual's matrix, normalised alike, square metres.
     """
@@ -230,7 +374,7 @@ def certify(
     backend: Backend = "closed-form",
     largest_gap: float = 1e-4,
 ) -> Certificate:
-    """Certify a pose against every other one.
+    """Certify a pose against every other one with the sensor on the -x side; one from behind, against all.
 
     Args:
         measurement: the whitened rows.
@@ -258,17 +402,10 @@ def certify(
             if certificate.certified:
                 return certificate
     dual = lower_bound(Q, backend)
-    return judged(dual.bound, dual.second_eigenvalue)
-
-
-def why_not_certified(measurement: TemplateMeasurement) -> str:
-    """Say in words what keeps a minimum, where the measurement was taken, from being certified as the only one.
-
-    The relaxation does not know on which side of the target the sensor is: a pose from behind stops it like any other.
-    """
-    T, cost = measurement.T_target_lidar, 2.0 * measurement.error(measurement.T_target_lidar)
-    for axis in np.eye(3)[1:]:
-        behind = refine(measurement.at(transform(rotation(np.pi * axis)) @ T))
-        if behind[0, 3] > 0 and 2.0 * measurement.error(behind) < cost + BEHIND:
-            return "not certified: a pose seen from behind the target, which is impossible, fits these matches as well"
-    return "not certified: the bound on other poses of these matches is not tight"
+    certificate = judged(dual.bound, dual.second_eigenvalue)
+    if certificate.certified or T_target_lidar[0, 3] >= 0:
+        return certificate
+    # A bound on all poses holds for those in front too, so the better of the two counts.
+    dual = lower_bound(Q, backend, T_target_lidar[:3, :3])
+    in_front = judged(dual.bound, dual.second_eigenvalue)
+    return in_front if in_front.gap_m2 < certificate.gap_m2 else certificate

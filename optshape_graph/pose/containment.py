@@ -18,31 +18,14 @@ from itertools import combinations
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints, Value
-from optshape_graph.edges import EdgePoints
+from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import refine, template_rows
-from optshape_graph.factors.static import RANGE_BIAS, BiasedMeasurement, SharedError
-from optshape_graph.gaussian import ndtr
-from optshape_graph.pose.association import ReturnsPlane, fit_plane, in_plane_poses
-from optshape_graph.pose.fit import Evidence, Flag
-from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, plane_measurement, returns_on_plane
-from optshape_graph.pose.options import PoseOptions
-from optshape_graph.pose.propagation import Problem
-from optshape_graph.pose.result import Ambiguity, Finding
-from optshape_graph.pose.surface import PlaneResiduals, as_seen, displaced, find_surface
-from optshape_graph.scan import Scan
+from optshape_graph.factors.static import BiasedMeasurement
+from optshape_graph.plane import ReturnsPlane
+from optshape_graph.pose.evidence import Evidence, Finding
 from optshape_graph.se3 import inverse
 from optshape_graph.target import Target
-
-BANDS = (4, 16, 64, 256)
-"""Into how many bands of elevation the returns are cut, at each of several scales, each band with a range bias."""
-
-JUDGED = 64
-"""Bands of elevation that stand for rings where the surface is judged."""
-
-MIRRORED = 5.0
-"""Log likelihood by which the mirror image must fit better to be believed: as much as `ambiguity_margin`."""
 
 REACH = 3.0
 """Standard deviations of the beam by which a return may lie outside where poses are looked for."""
@@ -54,99 +37,50 @@ _CERTAIN = 6.0  # standard deviations inside which a return surely is
 _SPAN = 4.0  # standard deviations to either side that the second evaluation covers
 
 
-def find_by_containment(scan: Scan, target: Target, options: PoseOptions) -> Finding:
+def find_by_containment(evidence: Evidence) -> Finding:
     """Find a target's pose by all poses that contain the returns; see `estimate_pose`.
 
     Raises:
         EstimationError: no pose contains the returns.
     """
-    # What was measured: all returns against a plane near the target's, and where they are in it.
-    plane = fit_plane(scan.points, None)
-    returns = returns_on_plane(scan, plane.axes[0], plane.distance, options=options)
-    off_plane = PlaneResiduals.of(returns, plane, target, _band(scan, JUDGED))
-    shape = find_surface(off_plane)
-    q = ((returns.points - plane.centre) @ plane.axes.T)[:, 1:]
+    scan, target, plane = evidence.scan, evidence.problem.target, evidence.plane
+    q = ((evidence.returns.points - plane.centre) @ plane.axes.T)[:, 1:]
 
     # Every connected set of poses that contain them, the likeliest first.
-    beam = Beam.of(scan, options)
-    sets = containing_poses(q, beam, target)
+    slack = Slack.of(evidence)
+    sets = containing_poses(q, slack, target)
     if not sets:
         raise EstimationError(f"{scan.name}: at no pose does '{target.name}' contain the returns: not this target")
     best = sets[0]
-    poses = in_plane_poses(np.array([one.mean[0] for one in sets]), np.array([one.mean[1:] for one in sets]), plane)
+    poses = plane.poses(np.array([one.mean[0] for one in sets]), np.array([one.mean[1:] for one in sets]))
+    mirrored = containing_poses(q * [-1.0, 1.0], slack, target)
 
     # The likeliest set and the plane in one measurement, at its minimum.
-    seen = as_seen(_with_biases(returns, scan), off_plane)
-    shared = _outline_measurement(best, plane) + plane_measurement(seen)
+    shared = _outline_measurement(best, plane) + evidence.on_plane
     exact = shared.marginal(1.0)
     T_target_lidar = refine(exact.at(poses[0]))
-    shared = displaced(shared, shape, off_plane, target, T_target_lidar)
+    shared = evidence.displaced(shared, T_target_lidar)
     margin, rival = (np.inf, None) if len(sets) == 1 else (best.log_mass - sets[1].log_mass, inverse(poses[1]))
-    outside = target.outside_distance(q @ _turn(best.mean[0]).T + best.mean[1:]) > REACH * (beam.sigma + beam.offset)
+    outside = target.outside_distance(q @ _turn(best.mean[0]).T + best.mean[1:]) > REACH * (slack.sigma + slack.offset)
     return Finding(
-        target=target,
-        returns=scan,
+        evidence=evidence,
         measurement=shared.marginal(1.0).at(T_target_lidar),
         exact=exact,
         shared=shared,
-        total_weight=float((1 / returns.sigma**2).sum() + np.trace(np.linalg.inv(best.covariance[1:, 1:]))),
-        ambiguity=Ambiguity(margin, rival),
+        total_weight=float((1 / evidence.returns.sigma**2).sum() + np.trace(np.linalg.inv(best.covariance[1:, 1:]))),
+        margin=margin,
+        rival=rival,
         log_likelihood=float(np.logaddexp.reduce([one.log_mass for one in sets]) - len(scan) * np.log(target.area)),
-        edge_points=EdgePoints.none(),
         labels=np.zeros(0, dtype=np.int64),
         inset=np.zeros(0),
         edge_sigma=np.zeros(0),
         edge_residuals=np.zeros(0),
-        evidence=Evidence(
-            scan,
-            Problem(EdgePoints.none(), target, np.zeros((13, 13)), EdgeNoise.of(scan.sensor, options)),
-            off_plane,
-            shape,
-            ends=None,
-            angular_noise=0.0,
-            tilt=None,
-            own=_mirrored(q, beam, target, best.log_mass),
-        ),
+        ends=None,
+        mirrored=mirrored[0].log_mass - best.log_mass if mirrored else 0.0,
         objection=""
-        if outside.mean() <= options.max_outside
+        if outside.mean() <= evidence.problem.options.max_outside
         else f"{outside.mean():.0%} of the returns lie outside the outline: not this target, or returns are mixed",
     )
-
-
-def _mirrored(q: Floats, beam: Beam, target: Target, log_mass: float) -> tuple[Flag, ...]:
-    """Say whether the target's mirror image contains the returns better: it is hung with its back to the front."""
-    sets = containing_poses(q * [-1.0, 1.0], beam, target)
-    excess = sets[0].log_mass - log_mass if sets else 0.0
-    return (
-        Flag("mirrored", excess / MIRRORED,
-             f"the mirror image of the target fits better (log likelihood {excess:.1f}): it is hung back to front"),
-    )  # fmt: skip
-
-
-def _with_biases(returns: PlaneReturns, scan: Scan) -> PlaneReturns:
-    """Give the returns range biases at several scales.
-
-    Lasers, each with a range bias, are not told apart in the cloud, and a bias may drift with the direction: beside
-    one for all, bands of elevation, broad and narrow, stand for them. One scale alone would take the slopes within its
-    bands, or those between them, for certain.
-    """
-    elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
-    lowest, extent = float(elevation.min()), max(float(np.ptp(elevation)), 1e-9)
-    columns, errors = [returns.bias], [*returns.errors]
-    for count in BANDS:
-        band = _band(scan, count)
-        found = np.unique(band)
-        columns.append(returns.bias * (band[:, None] == found) / np.sqrt(len(BANDS)))
-        limits = lowest + extent * np.column_stack([found, found + 1]) / count
-        errors += [SharedError(RANGE_BIAS, band=(low, high)) for low, high in limits.tolist()]
-    return replace(returns, bias=np.hstack(columns), errors=tuple(errors))
-
-
-def _band(scan: Scan, count: int) -> Ints:
-    """(N,) band of elevation of each return, of so many that are equally wide."""
-    elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
-    fraction = (elevation - elevation.min()) / max(float(np.ptp(elevation)), 1e-9)
-    return np.asarray(np.minimum((fraction * count).astype(np.int64), count - 1))
 
 
 def _outline_measurement(best: Containment, plane: ReturnsPlane) -> BiasedMeasurement:
@@ -187,7 +121,7 @@ def _turned(q: Floats, angles: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Beam:
+class Slack:
     """How far outside the outline a return may lie.
 
     Attributes:
@@ -199,14 +133,16 @@ class Beam:
 
     sigma: float
     offset: float
-    stray: float = PoseOptions.strays
+    stray: float
 
     @classmethod
-    def of(cls, scan: Scan, options: PoseOptions) -> Beam:
+    def of(cls, evidence: Evidence) -> Slack:
         """Take the sensor's beam at the returns' median range."""
-        noise = EdgeNoise.of(scan.sensor, options)
-        width = float(np.median(noise.width(np.linalg.norm(scan.points, axis=1))))
-        return cls(float(np.hypot(options.flatness, noise.OWN * width)), noise.COMMON * width, options.strays)
+        beam, options = evidence.problem.beam, evidence.problem.options
+        distance = np.median(np.linalg.norm(evidence.scan.points, axis=1))
+        width = float(beam.width(distance))
+        offset = float(np.hypot(beam.common * width, beam.blooming * distance))
+        return cls(float(np.hypot(options.flatness, beam.OWN * width)), offset, options.strays)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -224,22 +160,22 @@ class Containment(Value):
     log_mass: float
 
 
-def containing_poses(q: Floats, beam: Beam, target: Target) -> list[Containment]:
+def containing_poses(q: Floats, slack: Slack, target: Target) -> list[Containment]:
     """Find every connected set of poses in which a target contains returns.
 
     Args:
         q: (N, 2) returns in their plane, metres; the axes are like the target's (y, z), the origin near their middle.
-        beam: how far outside a return may lie.
+        slack: how far outside a return may lie.
         target: the template.
 
     Returns:
         One posterior for each set, the most likely first; none where no pose contains the returns. Poses that a
         symmetry of the target turns into another's are listed once.
     """
-    strays = int(beam.stray * len(q))
+    strays = int(slack.stray * len(q))
     outer = q[_outermost(q, strays + 4)]
-    room = _room(q, strays, target) + REACH * (beam.sigma + beam.offset)
-    sets = [_posterior(outer, beam, target, arc, strays) for arc in _arcs(room, target)]
+    room = _room(q, strays, target) + REACH * (slack.sigma + slack.offset)
+    sets = [_posterior(outer, slack, target, arc, strays) for arc in _arcs(room, target)]
     return sorted(sets, key=lambda one: -one.log_mass)
 
 
@@ -303,7 +239,7 @@ def _arcs(room: Floats, target: Target) -> list[tuple[float, float]]:
     ]
 
 
-def _posterior(outer: Floats, beam: Beam, target: Target, arc: tuple[float, float], strays: int) -> Containment:
+def _posterior(outer: Floats, slack: Slack, target: Target, arc: tuple[float, float], strays: int) -> Containment:
     """Integrate the likelihood over one set of poses: once to find where it lies, once where it does.
 
     The offset that all edges share is none, or as much as it takes for the returns to fit in at all; those of each edge
@@ -312,11 +248,11 @@ def _posterior(outer: Floats, beam: Beam, target: Target, arc: tuple[float, floa
     angles = np.linspace(*arc, _GRID[0])
     support = _support(outer, angles, strays, target)
     common = max(0.0, -float(((target.offsets - support) @ np.array(_balances(target.normals)).T).min(axis=1).max()))
-    low, high = _bounding_box(target.offsets + common - support + REACH * beam.sigma, target.normals)
-    share = beam.offset / np.sqrt(2)
+    low, high = _bounding_box(target.offsets + common - support + REACH * slack.sigma, target.normals)
+    share = slack.offset / np.sqrt(2)
 
     def moments(shift: Floats | float) -> Containment:
-        return _moments(outer, beam, target.normals, target.offsets + shift, angles, low, high)
+        return _moments(outer, slack, target.normals, target.offsets + shift, angles, low, high)
 
     coarse = moments(common)
     n = len(target)
@@ -324,9 +260,9 @@ def _posterior(outer: Floats, beam: Beam, target: Target, arc: tuple[float, floa
     half[0] = min(half[0], np.pi / len(target.symmetries))
     angles = coarse.mean[0] + np.linspace(-half[0], half[0], _GRID[0])
     box = np.broadcast_to(half[1:], (len(angles), 2))
-    moved = np.hypot(*half[1:]) + half[0] * np.linalg.norm(outer, axis=1) + REACH * beam.offset * np.sqrt(n)
+    moved = np.hypot(*half[1:]) + half[0] * np.linalg.norm(outer, axis=1) + REACH * slack.offset * np.sqrt(n)
     outside = target.outside_distance(outer @ _turn(coarse.mean[0]).T + coarse.mean[1:])
-    outer = outer[outside + moved > -_CERTAIN * beam.sigma]  # the others are inside at every pose
+    outer = outer[outside + moved > -_CERTAIN * slack.sigma]  # the others are inside at every pose
     low, high = coarse.mean[1:] - box, coarse.mean[1:] + box
     shifts = share * np.sqrt(n) * np.vstack([np.eye(n), -np.eye(n)])
     mixed = _mixture([moments(common + shift) for shift in shifts])
@@ -365,9 +301,11 @@ def _bounding_box(b: Floats, normals: Floats) -> tuple[Floats, Floats]:
 
 
 def _moments(
-    outer: Floats, beam: Beam, normals: Floats, offsets: Floats, angles: Floats, low: Floats, high: Floats
+    outer: Floats, slack: Slack, normals: Floats, offsets: Floats, angles: Floats, low: Floats, high: Floats
 ) -> Containment:
     """Mass, mean and covariance of the likelihood on a grid: angles (K,), and translations between low and high."""
+    from scipy.special import ndtr  # of a million numbers: its import is worth it
+
     fractions = [(np.arange(n) + 0.5) / n for n in _GRID[1:]]
     cells = np.stack(np.meshgrid(*fractions, indexing="ij"), axis=-1).reshape(-1, 2)
     t = low[:, None] + cells * (high - low)[:, None]
@@ -377,8 +315,8 @@ def _moments(
         along = np.einsum("e,ekm->km", n, turned) - offset
         np.maximum(outside, (t @ n)[..., None] + along[:, None], out=outside)
     log_inside = np.zeros(outside.shape)
-    near = outside > -_CERTAIN * beam.sigma
-    log_inside[near] = np.log(beam.stray + (1.0 - beam.stray) * ndtr(-outside[near] / beam.sigma))
+    near = outside > -_CERTAIN * slack.sigma
+    log_inside[near] = np.log(slack.stray + (1.0 - slack.stray) * ndtr(-outside[near] / slack.sigma))
     log_cell = np.log(np.maximum(np.prod(high - low, axis=1), 1e-18))[:, None]
     log_weight = log_inside.sum(axis=-1) + log_cell
     top = float(log_weight.max())

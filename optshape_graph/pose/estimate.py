@@ -7,15 +7,16 @@ from typing import Literal, get_args
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.errors import InputError
-from optshape_graph.pose.certificate import Backend, certify, why_not_certified
+from optshape_graph.errors import EstimationError, InputError, expect
+from optshape_graph.pose.certificate import NOT_TIGHT, Backend, certify
 from optshape_graph.pose.containment import find_by_containment
+from optshape_graph.pose.evidence import Evidence, Finding, measure
 from optshape_graph.pose.fit import Fit, measure_fit
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.paper import find_as_paper
-from optshape_graph.pose.result import Finding, PoseEstimate, Status
+from optshape_graph.pose.result import Ambiguity, PoseEstimate, Status
 from optshape_graph.pose.rings import find_by_rings
-from optshape_graph.scan import Scan, without_duplicates
+from optshape_graph.scan import Scan, put_right, without_duplicates
 from optshape_graph.se3 import inverse, inverse_covariance
 from optshape_graph.target import Target
 
@@ -49,39 +50,46 @@ def estimate_pose(
         The estimate. Its status says whether it can be used.
 
     Raises:
-        InputError: a method or a backend that does not exist.
+        InputError: a method or a backend that does not exist, or something else than a scan, a target and options.
         EstimationError: the returns determine no pose at all: none, fewer than three, all on a line, no
             azimuth step to be found.
     """
+    expect("scan", scan, Scan)
+    expect("target", target, Target)
+    expect("options", options, PoseOptions)
     for name, value, choices in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
         if value not in choices:
             raise InputError(f"{name} is {value!r}; expected one of {', '.join(map(repr, choices))}")
-    scan, duplicates = without_duplicates(scan)
+    scan, duplicates = without_duplicates(put_right(scan))
+    if method == "paper" and scan.ring is None:
+        raise EstimationError(f"{scan.name}: edge points need rings, and the cloud has none")
+    evidence = measure(scan, target, options, as_recorded=method == "paper")
     if method == "paper":
-        found = find_as_paper(scan, target, backend)
+        found = find_as_paper(evidence, backend)
     elif scan.ring is None:
-        found = find_by_containment(scan, target, options)
+        found = find_by_containment(evidence)
     else:
-        found = find_by_rings(scan, target, options)
-    return conclude(found, duplicates, backend, options)
+        found = find_by_rings(evidence)
+    return conclude(found, duplicates, backend)
 
 
-def conclude(found: Finding, duplicates: int, backend: Backend, options: PoseOptions) -> PoseEstimate:
+def conclude(found: Finding, duplicates: int, backend: Backend) -> PoseEstimate:
     """Certify what was found, judge it, and make the record: the same for every method."""
-    measurement = found.measurement
+    evidence, measurement = found.evidence, found.measurement
+    problem, options = evidence.problem, evidence.problem.options
     T_target_lidar = measurement.T_target_lidar
     T_lidar_target = inverse(T_target_lidar)
     information = measurement.information() + 1e-9 * np.eye(6)
     covariance = inverse_covariance(T_target_lidar, np.linalg.inv(information))
-    unobservable = unobservable_directions(covariance, found.target.circumradius, options.unobservable_sd)
-    fit = measure_fit(found.evidence, T_target_lidar, duplicates)
-    status, reason = _verdict(found, fit, covariance, unobservable, options)
+    unobservable = unobservable_directions(covariance, problem.target.circumradius, options.unobservable_sd)
+    fit = measure_fit(found, duplicates)
+    status, reason = _verdict(found, fit, covariance, unobservable)
     certificate = certify(found.exact, T_target_lidar, found.total_weight, backend, options.certified_gap)
     if status == "ok" and not certificate.certified:
-        reason = why_not_certified(found.exact)
-    off_plane = found.returns.points @ T_target_lidar[0, :3] + T_target_lidar[0, 3]
+        reason = NOT_TIGHT
+    off_plane = evidence.scan.points @ T_target_lidar[0, :3] + T_target_lidar[0, 3]
     return PoseEstimate(
-        target=found.target,
+        target=problem.target,
         T_lidar_target=T_lidar_target,
         covariance=covariance,
         status=status,
@@ -89,24 +97,22 @@ def conclude(found: Finding, duplicates: int, backend: Backend, options: PoseOpt
         measurement=measurement,
         shared=found.shared,
         certificate=certificate,
-        ambiguity=found.ambiguity,
+        ambiguity=Ambiguity(found.margin, found.rival),
         log_likelihood=found.log_likelihood,
-        edge_points=found.edge_points,
+        edge_points=problem.edges,
         labels=found.labels,
         inset=found.inset,
         edge_sigma=found.edge_sigma,
         edge_residuals=found.edge_residuals,
         plane_rms=float(np.sqrt(np.mean(off_plane**2))),
-        n_returns=len(found.returns),
+        n_returns=len(evidence.scan),
         unobservable=unobservable,
         fit=fit,
-        scan=found.returns.name,
+        scan=evidence.scan.name,
     )
 
 
-def _verdict(
-    found: Finding, fit: Fit, covariance: Floats, unobservable: tuple[str, ...], options: PoseOptions
-) -> tuple[Status, str]:
+def _verdict(found: Finding, fit: Fit, covariance: Floats, unobservable: tuple[str, ...]) -> tuple[Status, str]:
     """Status and reason, the weightiest first."""
     if found.objection:
         return "failed", found.objection
@@ -114,17 +120,17 @@ def _verdict(
         return "failed", "not observable: " + "; ".join(unobservable)
     if fit.flags:
         return "doubtful", fit.reason
-    if found.ambiguity.margin < options.ambiguity_margin:
-        margin = found.ambiguity.margin
-        return "ambiguous", f"a different pose is only {margin:.2g} less likely (log likelihood)"
-    uncertain = _too_uncertain(found, covariance, options)
+    if found.margin < found.evidence.problem.options.ambiguity_margin:
+        return "ambiguous", f"a different pose is only {found.margin:.2g} less likely (log likelihood)"
+    uncertain = _too_uncertain(found.evidence, covariance)
     return ("ambiguous", uncertain) if uncertain else ("ok", "")
 
 
-def _too_uncertain(found: Finding, covariance: Floats, options: PoseOptions) -> str:
+def _too_uncertain(evidence: Evidence, covariance: Floats) -> str:
     """Say what of a pose is less certain than a pose that can be used may be; empty where nothing is."""
-    size = found.target.circumradius
-    seen = f"{found.edge_points.n_rings} rings" if len(found.edge_points) else f"{len(found.returns)} returns"
+    problem, options = evidence.problem, evidence.problem.options
+    size = problem.target.circumradius
+    seen = f"{problem.edges.n_rings} rings" if len(problem.edges) else f"{len(evidence.scan)} returns"
     for block, limit, unit, name in (
         (slice(0, 3), options.largest_turn_sd, np.degrees(1.0), "deg"),
         (slice(3, 6), options.largest_shift_sd * size, 1.0, "m"),

@@ -11,7 +11,6 @@ from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.records import to_record
 from optshape_graph.pose import Backend, Method, PoseEstimate, estimate_pose
-from optshape_graph.pose.result import failed_entry
 from optshape_graph.runs.files import UNREADABLE, Outcome
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
@@ -43,7 +42,7 @@ class EstimateFile:
             scan = read_scan(path, self.sensor, self.columns)
             estimate = estimate_pose(scan, self.target, self.method, self.backend)
         except InputError as error:
-            return Outcome(UNREADABLE, (str(error),), failed_entry(path, self.target.name, str(error)))
+            return Outcome(UNREADABLE, (str(error),), PoseEstimate.failed_entry(path, self.target.name, str(error)))
         except EstimationError as error:
             return self.failed(path, str(error))
         pictures = () if self.then is None else tuple(map(str, self.then(path, scan, estimate)))
@@ -57,7 +56,7 @@ class EstimateFile:
             path: of the scan.
             reason: why.
         """
-        return Outcome("failed", (f"{path}: {reason}",), failed_entry(path, self.target.name, reason))
+        return Outcome("failed", (f"{path}: {reason}",), PoseEstimate.failed_entry(path, self.target.name, reason))
 
     def describe(self) -> dict[str, Any]:
         """Return what decides the results, as plain data."""

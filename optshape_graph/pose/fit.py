@@ -14,11 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints, Value
-from optshape_graph.pose.outline import Coverage, Ends, coverage, fit_ends, in_plane, outside_beams, tilt_of_rings
-from optshape_graph.pose.propagation import Problem
-from optshape_graph.pose.surface import PlaneResiduals, Surface, find_surface, gyration, rim_step, sheets
-from optshape_graph.scan import Scan
+from optshape_graph._arrays import Floats, Value
+from optshape_graph.pose.evidence import Coverage, Evidence, Finding, coverage
+from optshape_graph.pose.surface import Surface
 
 RIM = 0.06
 """Width of a frame, metres: those of boards and panels are 3 to 8 cm wide."""
@@ -111,45 +109,6 @@ class Fit(Value):
         return {**plain, "surface": surface, "flags": flags, "warnings": list(self.warnings)}
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Evidence(Value):
-    """What a fit is judged by.
-
-    Attributes:
-        scan: the returns, duplicates dropped.
-        problem: both ends of each ring (none without rings), the template, and the beam.
-        residuals: of the returns from their plane.
-        surface: what was found in them.
-        ends: ring ends against the outline; None without rings.
-        angular_noise: standard deviation of one azimuth, rad.
-        tilt: of elevations within rings, see `tilt_of_rings`; None without rings.
-        own: flags of tests that are the method's own.
-    """
-
-    scan: Scan
-    problem: Problem
-    residuals: PlaneResiduals
-    surface: Surface
-    ends: Ends | None
-    angular_noise: float
-    tilt: tuple[float, float] | None
-    own: tuple[Flag, ...] = ()
-
-    @classmethod
-    def of_rings(cls, scan: Scan, problem: Problem, T_target_lidar: Floats, labels: Ints) -> Evidence:
-        """Collect it for a pose that was found without it.
-
-        Args:
-            scan: the returns.
-            problem: ring ends, template and beam.
-            T_target_lidar: (4, 4).
-            labels: (M,) edge of each ring end.
-        """
-        residuals = PlaneResiduals.of_scan(scan, problem.target)
-        ends = fit_ends(problem, T_target_lidar, labels)
-        return cls(scan, problem, residuals, find_surface(residuals), ends, 0.0, tilt_of_rings(scan))
-
-
 def plane_flags(evidence: Evidence, T_target_lidar: Floats) -> list[Flag]:
     """Ask the distances from the plane, whatever the outline.
 
@@ -158,13 +117,13 @@ def plane_flags(evidence: Evidence, T_target_lidar: Floats) -> list[Flag]:
         T_target_lidar: (4, 4) the pose.
     """
     r, s = evidence.residuals, evidence.surface
-    radius = gyration(evidence.problem.target)
-    yz = in_plane(evidence.scan.points, T_target_lidar)
+    radius = evidence.problem.target.gyration
+    yz = evidence.in_plane(T_target_lidar)
     tilt = np.degrees(2 * s.size / radius)
     off = float(np.mean(~r.usual))
     p = evidence.scan.points
     azimuth = np.angle((p[:, 0] + 1j * p[:, 1]) * np.conj(p[:, 0].sum() + 1j * p[:, 1].sum()))
-    two = sheets(r, azimuth)
+    two = r.sheets(azimuth)
     order, outer = np.lexsort((azimuth, r.column)), np.zeros(len(p), dtype=bool)
     ring = r.column[order]
     for k in (1, 2):
@@ -172,7 +131,7 @@ def plane_flags(evidence: Evidence, T_target_lidar: Floats) -> list[Flag]:
         differs[k:] = ring[k:] != ring[:-k]
         outer[order] |= differs | np.append(differs[k:], np.ones(k, dtype=bool))
     rim = evidence.problem.target.outside_distance(yz) > -RIM
-    step, chance = rim_step(r, rim, ~outer)
+    step, chance = r.rim_step(rim, ~outer)
     ends = np.abs(r.rest[evidence.problem.edges.index]) if len(evidence.problem.edges) else np.zeros(1)
     scale = max(1.0, r.noise / 0.01)
     far, near = ends > 0.06 * scale, ends > 0.03 * scale
@@ -210,16 +169,18 @@ SHEETS_APART = 2.5e-3
 """Rms of the distance of two revolutions from their mean, metres: range steps of real sensors are 2 to 4 mm."""
 
 
-def ring_flags(evidence: Evidence, ends: Ends, cover: Coverage) -> list[Flag]:
+def ring_flags(found: Finding, cover: Coverage) -> list[Flag]:
     """Ask ring ends, returns outside and firings missing inside."""
+    ends = found.ends
+    assert ends is not None
     chi, beyond, run = ends.clipped_mean_square, ends.share_beyond, ends.longest_run
     missing, side = max((cover.missing_left, "left"), (cover.missing_right, "right"))
     share = missing / max(cover.expected, 1.0)
     outside = float(np.mean(cover.outside > 1.0))
     count = int(np.count_nonzero(cover.outside > 1.0))
-    tilt, chance = evidence.tilt or (0.0, 1.0)
-    larger = -ends.offset / 4.4 if ends.offset < 0 else 0.0
-    smaller = ends.offset / 3.2 if ends.offset > 0 else 0.0
+    tilt, chance = found.evidence.tilt or (0.0, 1.0)
+    further = float(np.hypot(ends.offset, ends.blooming))  # most of the one where the other has no room
+    larger, smaller = (further / 4.4, 0.0) if ends.blooming > ends.offset else (0.0, further / 3.2)
     return [
         Flag("edges", max(chi / 3.2 * (ends.probability < 1e-6), beyond / 0.25),
              f"ring ends miss the edges by {np.sqrt(chi):.1f} standard deviations, {beyond:.0%} by more than 3: "
@@ -227,7 +188,7 @@ def ring_flags(evidence: Evidence, ends: Ends, cover: Coverage) -> list[Flag]:
         Flag("strain", ends.strain / 0.015 * (ends.strain_probability < 10**-4.3),
              f"the outline is stretched by {ends.strain:.1%}: a moving sensor, or a board that isn't as drawn"),
         Flag("size", max(larger, smaller),
-             f"the outline is {'larger' if larger else 'smaller'} than the drawing by {abs(ends.offset):.1f} standard "
+             f"the outline is {'larger' if larger else 'smaller'} than the drawing by {further:.1f} standard "
              "deviations of what a beam's width allows: another size, or a board that blooms"),
         Flag("run of ends", run / 2.9,
              "neighbouring ring ends all lie on one side of their edge: a part is hidden, or the shape is another"),
@@ -244,27 +205,32 @@ def ring_flags(evidence: Evidence, ends: Ends, cover: Coverage) -> list[Flag]:
     ]  # fmt: skip
 
 
-def measure_fit(evidence: Evidence, T_target_lidar: Floats, duplicates: int) -> Fit:
-    """Say how well the returns fit.
+def measure_fit(found: Finding, duplicates: int) -> Fit:
+    """Say how well the returns fit the pose that was found.
 
     Args:
-        evidence: what it is judged by.
-        T_target_lidar: (4, 4) the pose.
+        found: the pose, and what it was found in.
         duplicates: exact copies of returns that were dropped.
     """
-    scan, r, ends = evidence.scan, evidence.residuals, evidence.ends
+    evidence, ends, T_target_lidar = found.evidence, found.ends, found.measurement.T_target_lidar
+    scan, r = evidence.scan, evidence.residuals
     normal = T_target_lidar[0, :3]
     cosine = float(np.mean(np.abs(scan.points @ normal) / np.linalg.norm(scan.points, axis=1)))
     plane = r.beyond(3, np.zeros((len(scan), 0)))
-    flags = [*plane_flags(evidence, T_target_lidar), *evidence.own]
+    flags = plane_flags(evidence, T_target_lidar)
     if ends is not None:
-        cover = coverage(scan, evidence.problem, T_target_lidar, evidence.angular_noise)
-        flags += ring_flags(evidence, ends, cover)
+        cover = coverage(evidence, T_target_lidar, max(ends.blooming, 0.0) * evidence.problem.beam.blooming)
+        flags += ring_flags(found, cover)
         outside, tilt = cover.outside, evidence.tilt[0] if evidence.tilt else None
         missing = (cover.missing_left, cover.missing_right, cover.missing_inside)
         rings, expected = cover.missing_rings, cover.expected
     else:
-        outside = outside_beams(scan, evidence.problem, T_target_lidar, evidence.angular_noise)
+        flags.append(
+            Flag("mirrored", found.mirrored / evidence.problem.options.ambiguity_margin,
+                 f"the mirror image of the target fits better (log likelihood {found.mirrored:.1f}): it is hung back "
+                 "to front")
+        )  # fmt: skip
+        outside = evidence.outside_beams(T_target_lidar)
         tilt, missing, rings, expected = None, (0.0, 0.0, 0.0), 0, None
     noise_factor, bias_factor = r.noise / r.file_noise, r.bias / r.file_bias
     warnings = [

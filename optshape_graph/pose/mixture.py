@@ -2,7 +2,9 @@
 
 Unknowns: a pose T, and one scalar beside it. A component has its own base pose, about which a pose is a rotation vector
 and a translation in the base's own axes. (Population Monte Carlo: Cappe, Douc, Guillin, Marin and Robert, Adaptive
-importance sampling in general mixture classes, 2008.)
+importance sampling in general mixture classes, 2008.) Samples of all rounds are weighed against the mean of what the
+rounds draw from, so that one that a bad round drew by luck weighs no more than one of a good round. (Cornuet, Marin,
+Mira and Robert, Adaptive multiple importance sampling, 2012.)
 """
 
 from __future__ import annotations
@@ -87,7 +89,7 @@ class Samples(Value):
 def sample(log_density: LogDensity, components: Components, symmetries: Floats, rng: np.random.Generator) -> Samples:
     """Draw from the components, weigh by the density, and refit them, until the samples are worth enough.
 
-    The samples of all rounds but the first count.
+    The samples of all rounds count.
 
     Args:
         log_density: of poses and scalars, the same at T and T S for every symmetry S.
@@ -95,44 +97,41 @@ def sample(log_density: LogDensity, components: Components, symmetries: Floats, 
         symmetries: (K, 4, 4) S; the identity alone where there is no other.
         rng: source of randomness.
     """
-    kept: list[tuple[Floats, Floats, Floats]] = []
+    T, scalar, log_target = np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0)
+    rounds: list[Components] = []
+    log_drawn = np.zeros((0, 0))  # of each round's components, at each sample
     for number in range(ROUNDS[1]):
-        T, scalar, roots = _draw(components, rng)
-        logs, charts = _log_components(components, roots, T, scalar, symmetries)
-        log_drawn = logsumexp(logs, axis=0)
-        log_weight = log_density(T, scalar) - log_drawn
-        if number > 0:
-            kept.append((T, scalar, log_weight))
-        if number + 1 >= ROUNDS[0]:
-            samples = _gathered(kept)
-            if samples.effective > ENOUGH:
-                break
-        share = np.exp(logs - log_drawn + log_weight - logsumexp(log_weight))
+        new_T, new_scalar = _draw(components, rng)
+        before = [logsumexp(_log_components(old, new_T, new_scalar, symmetries)[0], axis=0) for old in rounds]
+        T, scalar = np.concatenate([T, new_T]), np.concatenate([scalar, new_scalar])
+        log_target = np.concatenate([log_target, log_density(new_T, new_scalar)])
+        rounds.append(components)
+        logs, charts = _log_components(components, T, scalar, symmetries)
+        earlier = np.hstack([log_drawn, np.reshape(before, (number, len(new_T)))])
+        log_drawn = np.vstack([earlier, logsumexp(logs, axis=0)])
+        log_weight = log_target - (logsumexp(log_drawn, axis=0) - np.log(len(rounds)))
+        total = float(logsumexp(log_weight))
+        samples = Samples(T, scalar, np.exp(log_weight - total), total - np.log(len(T)))
+        if number + 1 >= ROUNDS[0] and samples.effective > ENOUGH:
+            break
+        share = np.exp(logs - log_drawn[-1] + log_weight - total)
         components = _refitted(components, share, charts)
     return samples
 
 
-def _gathered(rounds: list[tuple[Floats, Floats, Floats]]) -> Samples:
-    """Samples of several rounds: poses, scalars and logarithms of weights."""
-    T, scalar, log_weight = (np.concatenate(parts) for parts in zip(*rounds, strict=True))
-    total = float(logsumexp(log_weight))
-    return Samples(T, scalar, np.exp(log_weight - total), total - np.log(len(T)))
-
-
-def _draw(components: Components, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
-    """Poses, scalars, and the roots of the covariances they were drawn with."""
+def _draw(components: Components, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Draw poses and scalars from the components."""
     count = rng.multinomial(SAMPLES, components.weight)
     which = np.repeat(np.arange(len(count)), count)
     roots: Floats = np.asarray(np.linalg.cholesky(components.covariance))
     t = rng.standard_normal((SAMPLES, 7)) / np.sqrt(rng.chisquare(FREEDOM, SAMPLES) / FREEDOM)[:, None]
     xi = components.mean[which] + (roots[which] @ t[..., None])[..., 0]
-    return components.T[which] @ transform(rotation(xi[:, :3]), xi[:, 3:6]), xi[:, 6], roots
+    return components.T[which] @ transform(rotation(xi[:, :3]), xi[:, 3:6]), xi[:, 6]
 
 
-def _log_components(
-    components: Components, roots: Floats, T: Floats, scalar: Floats, symmetries: Floats
-) -> tuple[Floats, Floats]:
+def _log_components(components: Components, T: Floats, scalar: Floats, symmetries: Floats) -> tuple[Floats, Floats]:
     """Logarithm (C, S) of weight times density of each component, and where it has each sample (C, S, 7)."""
+    roots: Floats = np.asarray(np.linalg.cholesky(components.covariance))
     base = inverse(components.T)
     turn = turns_between(components.T, T[:, None] @ symmetries)
     moved = T[:, :3, 3] @ np.swapaxes(base[:, :3, :3], 1, 2) + base[:, None, :3, 3]

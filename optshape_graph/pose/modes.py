@@ -14,13 +14,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Value
-from optshape_graph.edges import EdgePoints
 from optshape_graph.errors import EstimationError
-from optshape_graph.pose.likelihood import alternative_labels, exit_probability, missed_rings, scan_log_likelihood
-from optshape_graph.pose.mixture import Components, Samples, sample
-from optshape_graph.pose.propagation import Posterior, Problem, concatenate, edge_geometry, propagate
-from optshape_graph.scan import Scan
-from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, rotation, transform
+from optshape_graph.pose.association import enumerate_poses
+from optshape_graph.pose.evidence import Evidence
+from optshape_graph.pose.firings import Firings
+from optshape_graph.pose.mixture import Components, LogDensity, Samples, sample
+from optshape_graph.pose.propagation import (
+    Posterior,
+    alternative_labels,
+    concatenate,
+    exit_probability,
+    missed_rings,
+    propagate,
+)
+from optshape_graph.pose.rays import Rays
+from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, rotation, transform, vec
+from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 ALTERNATIVES = 6
@@ -102,29 +111,25 @@ class Modes(Value):
         return float(np.logaddexp.reduce(self.candidates.log_likelihood[self.best]))
 
 
-def rank(problem: Problem, starts: Floats, scan: Scan, ends: EdgePoints) -> Posterior:
-    """Find the posterior about each start, likeliest first, each association once.
+def find_candidates(evidence: Evidence) -> Posterior:
+    """Find the posterior of the pose under every association that is worth it, likeliest first, each once.
 
-    A first round tells the starts apart. A second works out the best, the associations next to it, and the poses that
-    the target's shape takes for it: half a turn, and those that bring it nearest to itself.
-
-    Args:
-        problem: one target in one scan.
-        starts: (C, 4, 4) T_target_lidar.
-        scan: the returns.
-        ends: both ends of each ring.
+    Every consistent association of ring ends to edges gives a start. A first round tells the starts apart. A second
+    works out the best, the associations next to it, and the poses that the target's shape takes for it: half a turn,
+    and those that bring it nearest to itself.
 
     Raises:
         EstimationError: no pose explains the returns.
     """
-    upright = _upright(starts, problem.target)
-    first = _judged(propagate(problem, upright, relinearisations=1, sweeps=2), problem, scan, ends)
+    problem, target = evidence.bounded, evidence.problem.target
+    starts = _upright(enumerate_poses(evidence.problem.edges, evidence.plane, target), target)
+    first = _judged(propagate(problem, starts, relinearisations=1, sweeps=2), evidence)
     best = first.select(slice(0, 1))
     labels = np.vstack([best.geometry.labels, alternative_labels(problem, best, ALTERNATIVES)])
-    turned = _lookalikes(best.T_target_lidar, problem.target)
+    turned = _lookalikes(best.T_target_lidar, target)
     T = np.concatenate([np.repeat(best.T_target_lidar, len(labels), axis=0), turned])
-    labels = np.vstack([labels, edge_geometry(problem, turned).labels])
-    second = _judged(propagate(problem, T, relinearisations=1, labels=labels, sweeps=4), problem, scan, ends)
+    labels = np.vstack([labels, problem.geometry(turned).labels])
+    second = _judged(propagate(problem, T, relinearisations=1, labels=labels, sweeps=4), evidence)
     return _distinct(concatenate(second, first))
 
 
@@ -136,11 +141,12 @@ def _lookalikes(T_target_lidar: Floats, target: Target) -> Floats:
     return _upright(transform(rotation(turns[:, None] * [1.0, 0.0, 0.0])) @ T_target_lidar, target)
 
 
-def _judged(posterior: Posterior, problem: Problem, scan: Scan, ends: EdgePoints) -> Posterior:
+def _judged(posterior: Posterior, evidence: Evidence) -> Posterior:
     """Add to the likelihoods what the posteriors leave out; likeliest first."""
-    score = posterior.log_likelihood + exit_probability(problem, posterior)
+    scan = evidence.scan
+    score = posterior.log_likelihood + exit_probability(evidence.bounded, posterior)
     if scan.sensor is not None:
-        score = score + missed_rings(problem, posterior, ends, scan.sensor)
+        score = score + missed_rings(evidence.bounded, posterior, evidence.problem.edges, scan.sensor)
     score = np.where(np.isfinite(score), score, -np.inf)
     if not np.isfinite(score).any():
         raise EstimationError(f"{scan.name}: no pose explains the returns")
@@ -162,38 +168,66 @@ def _upright(T: Floats, target: Target) -> Floats:
     return np.asarray(turned[np.arange(len(T)), turned[:, :, 2, 2].argmax(axis=1)])
 
 
-def compare_modes(candidates: Posterior, problem: Problem, scan: Scan, ends: EdgePoints) -> Modes:
+def compare_modes(candidates: Posterior, evidence: Evidence) -> Modes:
     """Gather candidates in modes, and compare the best with all others.
 
     Args:
         candidates: best first.
-        problem: one target in one scan.
-        scan: the returns.
-        ends: both ends of each ring, on the grid of firings.
+        evidence: in which they were found.
     """
-    by_association = _compare(candidates, problem.target)
-    if ends.n_rings >= SURE[0] and by_association.margin > SURE[1]:
+    target = evidence.problem.target
+    by_association = _compare(candidates, target)
+    if evidence.problem.edges.n_rings >= SURE[0] and by_association.margin > SURE[1]:
         return by_association
-    chosen = candidates.select(np.array(_apart(candidates, problem.target)))
-    density = scan_log_likelihood(problem, scan, ends)
-    components = _components(chosen, scan.points.mean(axis=0), problem.target.circumradius)
-    samples = sample(density, components, problem.target.symmetry_transforms, np.random.default_rng(0))
+    chosen = candidates.select(np.array(_apart(candidates, target)))
+    density = scan_log_likelihood(evidence)
+    components = _components(chosen, evidence.scan.points.mean(axis=0), target.circumradius)
+    samples = sample(density, components, target.symmetry_transforms, np.random.default_rng(0))
     poses = inverse(chosen.T_target_lidar)
-    mass = np.array([samples.weight[same_mode(samples.T, T, problem.target)].sum() for T in poses])
+    mass = np.array([samples.weight[same_mode(samples.T, T, target)].sum() for T in poses])
     first = poses[mass.argmax()]
-    of_first = same_mode(samples.T, first, problem.target)
+    of_first = same_mode(samples.T, first, target)
     elsewhere = float(samples.weight[~of_first].sum())
     with np.errstate(divide="ignore"):
         margin = float(np.log(mass.max()) - np.log(elsewhere))
     if samples.effective < TRUSTED:
         margin = min(margin, float(np.log(samples.effective)))
-    others = ~same_mode(poses, first, problem.target)
+    others = ~same_mode(poses, first, target)
     rival = poses[np.where(others, mass, -1.0).argmax()] if others.any() else None
-    best = _within(inverse(candidates.T_target_lidar), first, MODE, ITSELF, problem.target.circumradius)
+    best = _within(inverse(candidates.T_target_lidar), first, MODE, ITSELF, target.circumradius)
     order = np.argsort(~best, kind="stable")
     inside = Samples(samples.T[of_first], samples.scalar[of_first], samples.weight[of_first], samples.log_integral)
-    sampled = _moments(inside, first, problem.target) if inside.effective > TRUSTED else None
+    sampled = _moments(inside, first, target) if inside.effective > TRUSTED else None
     return Modes(candidates.select(order), best[order], margin, rival, sampled)
+
+
+def scan_log_likelihood(evidence: Evidence) -> LogDensity:
+    """Return the logarithm of the likelihood of a scan, up to a constant, as a function of pose and common offset.
+
+    Args:
+        evidence: of a scan with rings.
+
+    Returns:
+        A function of T_lidar_target (S, 4, 4) and of the offset across the edges (S,), in beam widths.
+    """
+    scan, problem = evidence.scan, evidence.problem
+    ends, beam, target, options, form = problem.edges, problem.beam, problem.target, problem.options, problem.plane
+    ranges = np.linalg.norm(ends.points[::2], axis=1)
+    common = beam.offset_of_rays(ranges)
+    rays: Firings | Rays
+    if beam.ideal and not ends.scatter.any():
+        rays = Firings.of(scan, ends, options.flatness, options.lost_ends_of_rays, options.lost_span)
+    else:
+        odd_ends = scan.sensor.odd_ends if scan.sensor else SensorModel.odd_ends
+        rays = Rays.of(scan, ends, beam.width(ranges) / ranges, 2 * target.circumradius, odd_ends)
+
+    def log_likelihood(T_lidar_target: Floats, offset: Floats) -> Floats:
+        z = vec(inverse(T_lidar_target))
+        on_plane = -0.5 * (((z @ form[:12, :12] + 2 * form[12, :12]) * z).sum(axis=-1) + form[12, 12])
+        corners = apply(T_lidar_target, target.vertices)
+        return np.asarray(on_plane - 0.5 * (offset / common) ** 2 + rays.log_likelihood(corners, offset + beam.offset))
+
+    return log_likelihood
 
 
 def _compare(candidates: Posterior, target: Target) -> Modes:

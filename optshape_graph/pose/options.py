@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 from optshape_graph.errors import InputError
+from optshape_graph.target import FLATNESS
 
 
 @dataclass(frozen=True)
@@ -21,9 +22,6 @@ class PoseOptions:
             fewer; with ten rings and more it hardly matters. Test: `test_lost_ends`.
         lost_ends_of_rays: the same for a beam without width, which no edge splits. Chosen: by hand. Test:
             `test_lost_ends_of_rays`.
-        odd_ends: share of ring ends that are not what they seem, where modes are compared ray by ray: the last return a
-            stray, or a few lost beyond it. Chosen: simulated scans find as many poses at 0.001 as at 0.02; recorded
-            ones are likeliest at 0.3, and decided at 0.01. Test: `test_odd_ends`.
         lost_span: where the boundary may be beyond those ends, in azimuth steps outwards from the ring's last return.
             Chosen: up to two returns lost, or one too many. Test: `test_lost_span`.
         strays: share of returns that may lie anywhere, without rings: mixed with the background, or on something that
@@ -51,10 +49,9 @@ class PoseOptions:
         InputError: a value that is not positive, or a span that is empty.
     """
 
-    flatness: float = 1e-3
+    flatness: float = FLATNESS
     lost_ends: float = 0.1
     lost_ends_of_rays: float = 0.02
-    odd_ends: float = 0.01
     lost_span: tuple[float, float] = (-1.0, 3.0)
     strays: float = 2e-3
     min_explained: float = 0.8

@@ -12,15 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
-from optshape_graph.edges import extract_edge_points
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import TemplateMeasurement, edge_rows, plane_rows
 from optshape_graph.pose.certificate import Backend, solve_relaxation
-from optshape_graph.pose.fit import Evidence
-from optshape_graph.pose.noise import EdgeNoise
-from optshape_graph.pose.propagation import Problem
-from optshape_graph.pose.result import Ambiguity, Finding
-from optshape_graph.scan import Scan
+from optshape_graph.pose.evidence import Evidence, Finding
 from optshape_graph.se3 import apply, difference, transform
 from optshape_graph.target import Target
 
@@ -28,17 +23,21 @@ MAX_ITERATIONS = 15
 TOLERANCE = 1e-5
 
 
-def find_as_paper(scan: Scan, target: Target, backend: Backend) -> Finding:
+def find_as_paper(evidence: Evidence, backend: Backend) -> Finding:
     """Find a target's pose as the paper does; see `estimate_pose`.
+
+    Args:
+        evidence: of the scan, its angles as recorded.
+        backend: solves the relaxation.
 
     Raises:
         EstimationError: fewer than three edge points.
     """
-    edges = extract_edge_points(scan)
+    edges, target = evidence.problem.edges, evidence.problem.target
     distinct = np.unique(edges.index, return_index=True)[1]
     points = edges.points[np.sort(distinct)]
     if len(points) < 3:
-        raise EstimationError(f"{scan.name}: {len(points)} edge points determine no pose")
+        raise EstimationError(f"{evidence.scan.name}: {len(points)} edge points determine no pose")
     T = _alternate(points, target, backend)
 
     measurement = _measurement(points, nearest_lines(apply(T, points), target), target, T)
@@ -48,22 +47,19 @@ def find_as_paper(scan: Scan, target: Target, backend: Backend) -> Finding:
     moved = apply(T, edges.points)
     labels = nearest_lines(moved, target)
     return Finding(
-        target=target,
-        returns=scan,
+        evidence=evidence,
         measurement=measurement,
         exact=measurement,
         shared=None,
         total_weight=measurement.n_rows / sigma**2,
-        ambiguity=Ambiguity(np.inf, None),
+        margin=np.inf,
+        rival=None,
         log_likelihood=np.nan,
-        edge_points=edges,
         labels=labels,
         inset=np.zeros(len(edges)),
         edge_sigma=np.full(len(edges), sigma),
-        evidence=Evidence.of_rings(
-            scan, Problem(edges, target, np.zeros((13, 13)), EdgeNoise.of(scan.sensor)), T, labels
-        ),
         edge_residuals=(target.normals[labels] * moved[:, 1:]).sum(axis=1) - target.offsets[labels],
+        ends=evidence.problem.fit(T, labels),
     )
 
 

@@ -9,25 +9,29 @@ and a weighted least-squares problem with that solution: each edge point has an 
 a standard deviation.
 
 Unknowns: a right perturbation of T_target_lidar (6), the offset across the edges that all edge points of a scan share
-(1), and where azimuths are noisy, the shift along each ring that both its ends share. Several candidate poses are
+(1), how much further along the rings a bright target reaches (1), and where azimuths are noisy, the shift along each
+ring that both its ends share. Several candidate poses are
 worked on at once.
+
+Evidence that the posterior leaves out is free: where the rings that returned nothing would have met the target
+(`missed_rings`), and that each ring leaves it within an edge, not on its extension (`exit_probability`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value
+from optshape_graph.chords import chords, sight_planes
 from optshape_graph.edges import EdgePoints
-from optshape_graph.gaussian import log_ndtr
-from optshape_graph.pose.noise import EdgeNoise, outermost_return
+from optshape_graph.gaussian import log_ndtr, mixture_moments
+from optshape_graph.pose.ends import EdgeGeometry, Problem
 from optshape_graph.se3 import exp, vec, vec_derivative
-from optshape_graph.target import Target
+from optshape_graph.sensor import SensorModel
 
 _WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])
 """Information of the pose before any measurement (3 rad, 100 m): keeps an unobservable pose finite."""
@@ -35,68 +39,8 @@ _WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])
 _LARGEST_STEP = 0.15
 """Rotation by which a relinearisation moves a pose at most, rad."""
 
-_DAMPING = 0.8
+DAMPING = 0.8
 """Share of each update of an edge point that is taken."""
-
-_LOG_SQRT_2PI = 0.5 * np.log(2 * np.pi)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Problem(Value):
-    """What is known of one target in one scan, whatever its pose.
-
-    Attributes:
-        edges: both ends of each ring.
-        target: the template.
-        plane: (13, 13) quadratic form in [z; 1] of the returns' whitened distances from the plane.
-        noise: scatter of the ring ends about the edges.
-    """
-
-    edges: EdgePoints
-    target: Target
-    plane: Floats
-    noise: EdgeNoise
-
-    @cached_property
-    def ring_shifts(self) -> Floats:
-        """(M, K) outward motion, rad, of each edge point for a standard deviation of each noisy ring's shift."""
-        edges = self.edges
-        noisy = np.unique(edges.ring[edges.shift > 0])
-        return np.asarray((edges.ring[:, None] == noisy) * (edges.side * edges.shift)[:, None])
-
-    @cached_property
-    def intervals(self) -> Floats:
-        """(2, 2, M) ends of where the boundary may be beyond each edge point, rad.
-
-        First for a ring's last return; then for an end that is not its last return.
-        """
-        edges, (first, last) = self.edges, self.noise.options.lost_span
-        step = np.maximum(edges.width, edges.azimuth_step)
-        return np.array([[edges.lower, edges.upper], [edges.lower + first * step, edges.lower + last * step]])
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class EdgeGeometry(Value):
-    """Edge points against their edges at C poses: rows linear in the pose, and which way the unknowns move them.
-
-    Attributes:
-        labels: (C, M) edge of each edge point.
-        direction: (C, M, 3) vector m of each row, target frame: m . (R p + t) - c is the distance from the edge, in
-            the plane, of the point where the ray of p meets the plane.
-        residual: (C, M) that distance, metres, negative inside, `shift` taken off.
-        along: (C, M) how fast it grows along the ring, outwards, metres per radian.
-        across: (C, M) how fast it grows with the offset across the edge, metres per beam width.
-        shift: (C, M) how much further out the last return lies than a single ray would, metres.
-        own: (C, M) variance across the edge that is each edge point's own, quantisation apart, m2.
-    """
-
-    labels: Ints
-    direction: Floats
-    residual: Floats
-    along: Floats
-    across: Floats
-    shift: Floats
-    own: Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,7 +54,7 @@ class Posterior(Value):
         offset: (C,) common offset across the edges, in units of the beam's width; positive: the returns lie further in.
         geometry: edge points at these poses.
         inset: (C, M) distance along the ring from each edge point to the boundary, rad, offset and shift apart.
-        shift: (C, M) outward motion of each edge point with its ring, where azimuths are noisy, rad.
+        shift: (C, M) outward motion of each edge point with its ring, where azimuths are noisy, and by blooming, rad.
         sigma: (C, M) standard deviation across the edge, metres, that stands for each interval.
         log_likelihood: (C,) logarithm of the probability of the edge points, and of what else of the scan was taken
             into account, up to a constant of the scan.
@@ -147,51 +91,6 @@ def _made(make: Callable[[list[Floats]], Floats], *posteriors: Posterior) -> Pos
     return Posterior(geometry=geometry, **arrays(posteriors))
 
 
-def edge_geometry(problem: Problem, T: Floats, labels: Ints | None = None) -> EdgeGeometry:
-    """Look at the edge points from C poses (C, 4, 4); without labels, a ring ends on the edge it leaves by first."""
-    edges, target = problem.edges, problem.target
-    R, t = T[:, :3, :3], T[:, :3, 3]
-    normal = R[:, 0]
-    p = edges.points
-    turning = edges.sweep
-    distance = normal @ p.T
-    outward = turning - p * ((normal @ turning.T) / distance)[..., None]
-    u = (outward @ np.swapaxes(R, 1, 2))[..., 1:]
-    y = p @ np.swapaxes(R, 1, 2) + t[:, None]
-    ray = (p / np.linalg.norm(p, axis=1, keepdims=True)) @ np.swapaxes(R, 1, 2)
-    slope = ray[..., 1:] / ray[..., :1]
-    if labels is None:
-        labels = _exit_edges(y[..., 1:] - slope * y[..., :1], u, target)
-    n = target.normals[labels]
-    mu = (n * slope).sum(axis=-1)
-    direction = np.concatenate([-mu[..., None], n], axis=-1)
-    along = (n * u).sum(axis=-1)
-    across = problem.noise.width(np.linalg.norm(p, axis=1)) * np.sqrt(1.0 + mu**2)
-    shift, scatter = outermost_return(np.abs(along) * edges.width / across)
-    shift = shift * across
-    return EdgeGeometry(
-        labels=labels,
-        direction=direction,
-        residual=(direction * y).sum(axis=-1) - target.offsets[labels] - shift,
-        along=along,
-        across=across,
-        shift=shift,
-        own=problem.noise.options.flatness**2
-        + (problem.noise.OWN * scatter * across) ** 2
-        + (edges.scatter * along) ** 2,
-    )
-
-
-def _exit_edges(yz: Floats, outward: Floats, target: Target) -> Ints:
-    """Edge by which rays in the plane (C, M, 2) first leave the polygon; the nearest line where none is ahead."""
-    beyond = yz @ target.normals.T - target.offsets
-    speed = outward @ target.normals.T
-    scale = 1e-3 * np.linalg.norm(outward, axis=-1, keepdims=True)
-    ahead = np.where(speed > scale, -beyond / np.maximum(speed, scale), np.inf)
-    leaves = np.isfinite(ahead.min(axis=-1))
-    return np.asarray(np.where(leaves, ahead.argmin(axis=-1), np.abs(beyond).argmin(axis=-1)))
-
-
 def propagate(
     problem: Problem, T: Floats, *, relinearisations: int, sweeps: int, labels: Ints | None = None
 ) -> Posterior:
@@ -211,7 +110,7 @@ def propagate(
     previous = labels
     for iteration in range(relinearisations):
         settled = iteration == relinearisations - 1  # the last association is the one the posterior is of
-        geometry = edge_geometry(problem, T, labels if labels is not None or not settled else previous)
+        geometry = problem.geometry(T, labels if labels is not None or not settled else previous)
         if previous is not None:
             changed = geometry.labels != previous
             inset, spread = np.where(changed, middle, inset), np.where(changed, width**2 / 12, spread)
@@ -271,7 +170,7 @@ def posterior_step(
         settled: relative change of every precision below which more updates change nothing.
     """
     own, s = geometry.own, geometry.along
-    lower, upper, log_density = _residual_intervals(s, problem)
+    intervals = residual_intervals(s, problem)
     tau = 1.0 / (own + spread * s**2)
     nu = -tau * inset * s
     Jt = np.swapaxes(J, 1, 2)
@@ -283,30 +182,75 @@ def posterior_step(
         mean = (covariance @ shift[..., None])[..., 0]
         variance = ((J @ covariance) * J).sum(axis=-1)
         prediction = r + (J @ mean[..., None])[..., 0]
-        cavity_variance = 1.0 / np.maximum(1.0 / variance - tau, 1e-4 / variance)
-        cavity_mean = cavity_variance * (prediction / variance - nu)
-        seen = cavity_variance + own
-        log_mass, boundary, boundary_variance = mixture_moments(cavity_mean, seen, lower, upper, log_density)
+        site = update_sites(prediction, variance, own, intervals, tau, nu)
         if sweep == sweeps or change < settled:
             break
-        gain = cavity_variance / seen
-        tilted = cavity_mean + gain * (boundary - cavity_mean)
-        tilted_variance = cavity_variance * (1.0 - gain) + gain**2 * boundary_variance
-        # Where the mixture's two parts pull apart, a site can turn out to widen: then it says nothing.
-        informative = 1.0 / tilted_variance - 1.0 / cavity_variance
-        silent = informative < 1e-6 / seen
-        new_tau = np.where(silent, 1e-6 / seen, informative)
-        new_nu = np.where(silent, 0.0, tilted / tilted_variance - cavity_mean / cavity_variance)
-        change = float(np.max(np.abs(new_tau - tau) / (new_tau + tau)))
-        tau, nu = tau + _DAMPING * (new_tau - tau), nu + _DAMPING * (new_nu - nu)
+        change = float(np.max(np.abs(site.precision - tau) / (site.precision + tau)))
+        tau, nu = tau + DAMPING * (site.precision - tau), nu + DAMPING * (site.information - nu)
     log_evidence = (
         0.5 * ((mean * shift).sum(axis=-1) - np.linalg.slogdet(precision)[1])
         - 0.5 * (shift0 * np.linalg.solve(precision0, shift0[..., None])[..., 0]).sum(axis=-1)
         + 0.5 * np.linalg.slogdet(precision0)[1]
-        + (log_mass + 0.5 * _log_ratio(cavity_mean, cavity_variance, tau, nu)).sum(axis=-1)
+        + (site.log_mass + 0.5 * _log_ratio(site.cavity_mean, site.cavity_variance, tau, nu)).sum(axis=-1)
         - 0.5 * (tau * r**2 - 2 * nu * r).sum(axis=-1)
     )
     return Step(mean, np.asarray(covariance), tau, nu, log_evidence)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sites(Value):
+    """Gaussians that stand for intervals in the company of everything else, and that company.
+
+    Attributes:
+        precision: (...) of each Gaussian in its residual, 1/m2.
+        information: (...) its mean times its precision, 1/m.
+        cavity_mean: (...) of the residual without it, metres.
+        cavity_variance: (...) of that, m2.
+        log_mass: (...) logarithm of the interval's probability without it.
+    """
+
+    precision: Floats
+    information: Floats
+    cavity_mean: Floats
+    cavity_variance: Floats
+    log_mass: Floats
+
+
+def update_sites(
+    prediction: Floats,
+    variance: Floats,
+    own: Floats,
+    intervals: tuple[Floats, Floats, Floats],
+    tau: Floats,
+    nu: Floats,
+) -> Sites:
+    """Return the Gaussians that stand for intervals, given what all Gaussians together say of the residuals.
+
+    Args:
+        prediction: (...) mean of each residual, metres.
+        variance: (...) of that, m2.
+        own: (...) variance of each boundary point about its residual, m2.
+        intervals: of the residuals, see `residual_intervals`.
+        tau: (...) precision of the Gaussians that took part, 1/m2.
+        nu: (...) their means times it, 1/m.
+    """
+    cavity_variance = 1.0 / np.maximum(1.0 / variance - tau, 1e-4 / variance)
+    cavity_mean = cavity_variance * (prediction / variance - nu)
+    seen = cavity_variance + own
+    log_mass, boundary, boundary_variance = mixture_moments(cavity_mean, seen, *intervals)
+    gain = cavity_variance / seen
+    tilted = cavity_mean + gain * (boundary - cavity_mean)
+    tilted_variance = cavity_variance * (1.0 - gain) + gain**2 * boundary_variance
+    # Where the mixture's two parts pull apart, a site can turn out to widen: then it says nothing.
+    informative = 1.0 / tilted_variance - 1.0 / cavity_variance
+    silent = informative < 1e-6 / seen
+    return Sites(
+        np.where(silent, 1e-6 / seen, informative),
+        np.where(silent, 0.0, tilted / tilted_variance - cavity_mean / cavity_variance),
+        cavity_mean,
+        cavity_variance,
+        log_mass,
+    )
 
 
 def _sweep(
@@ -314,7 +258,7 @@ def _sweep(
 ) -> tuple[Floats, Posterior]:
     """Update all edge points at fixed linearisation; the step of the poses' means, and the posteriors."""
     points, m = problem.edges.points, geometry.direction @ T[:, :3, :3]
-    s, by_shift = geometry.along, problem.ring_shifts
+    s, by_shift = geometry.along, np.hstack([problem.blooming, problem.ring_shifts])
     columns = [np.cross(points, m), m, geometry.across[..., None], s[..., None] * by_shift]
     J = np.concatenate(columns, axis=-1)
     r = geometry.residual + offset[:, None] * geometry.across
@@ -324,7 +268,7 @@ def _sweep(
     precision0[:, :6, :6] = np.swapaxes(D, 1, 2) @ problem.plane[:12, :12] @ D + _WEAK_PRIOR
     shift0 = np.zeros(precision0.shape[:2])
     shift0[:, :6] = -((z @ problem.plane[:12, :12] + problem.plane[12, :12])[:, None] @ D)[:, 0]
-    precision0[:, 6, 6] = 1.0 / problem.noise.COMMON**2
+    precision0[:, 6, 6] = 1.0 / problem.beam.common**2
     shift0[:, 6] = -precision0[:, 6, 6] * offset
 
     step = posterior_step(problem, geometry, precision0, shift0, J, r, inset, spread, sweeps)
@@ -350,13 +294,13 @@ def _log_ratio(cavity_mean: Floats, cavity_variance: Floats, tau: Floats, nu: Fl
     return np.asarray(np.log(total / precision) - shift**2 / total + cavity_mean**2 * precision)
 
 
-def _residual_intervals(along: Floats, problem: Problem) -> tuple[Floats, Floats, Floats]:
+def residual_intervals(along: Floats, problem: Problem) -> tuple[Floats, Floats, Floats]:
     """Where the residual of a boundary point lies (2, C, M): within its interval, or, for a lost return, about it.
 
     Densities are per step. A point that leaves its edge inwards cannot have ended there: its first interval is
     empty of weight.
     """
-    edges, options = problem.edges, problem.noise.options
+    edges, options = problem.edges, problem.options
     residuals = -problem.intervals[:, :, None] * along
     lower, upper = residuals.min(axis=1) - 1e-7, residuals.max(axis=1) + 1e-7
     span = options.lost_span[1] - options.lost_span[0]
@@ -367,75 +311,84 @@ def _residual_intervals(along: Floats, problem: Problem) -> tuple[Floats, Floats
     return lower, upper, log_density
 
 
-def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats, Floats]:
-    """Moments of Gaussians truncated to intervals, stable far in the tails.
+def missed_rings(problem: Problem, posterior: Posterior, ends: EdgePoints, sensor: SensorModel) -> Floats:
+    """Logarithm of the probability (C,) that the rings without returns return nothing.
+
+    A ring that crosses the target by less than a step may fall between two firings. Beyond that it must have been
+    lost: occluded, outside the field of view, dropped. How often that happens, the rings between the lowest and the
+    highest that did return tell.
 
     Args:
-        mean: (...) of the Gaussian, in any unit.
-        variance: (...) of the Gaussian, in that unit squared.
-        lower: (...) end of the interval, in that unit.
-        upper: (...) end of the interval, in that unit, not below `lower`.
-
-    Returns:
-        Logarithm of the mass inside, mean and variance of the truncated Gaussian, each (...), in those units.
+        problem: one target in one scan.
+        posterior: of C poses.
+        ends: of the rings that returned.
+        sensor: whose table says which rings there are.
     """
-    sd = np.sqrt(variance)
-    a, b = (lower - mean) / sd, (upper - mean) / sd
-    right = a > 0  # mirror, so that the interval is never in the upper tail
-    a, b = np.where(right, -b, a), np.where(right, -a, b)
-    log_a, log_b = log_ndtr(a), log_ndtr(b)
-    width = b - a
-    with np.errstate(all="ignore"):
-        log_mass = log_b + np.log1p(-np.exp(log_a - log_b))
-        density_a = np.exp(-0.5 * a * a - _LOG_SQRT_2PI - log_mass)
-        density_b = np.exp(-0.5 * b * b - _LOG_SQRT_2PI - log_mass)
-        m = density_a - density_b
-        v = 1.0 + np.where(np.isfinite(a), a * density_a, 0.0) - b * density_b - m * m
-    # Far out the density is exponential; in a narrow interval it is uniform, which is the same with a small rate.
-    far = (b < -300) | (width < 1e-3) | ~np.isfinite(log_mass) | ~(v > 0)
-    m, v = np.clip(m, a, b), np.minimum(v, width**2 / 4)
-    if far.any():
-        start, end, span = a[far], b[far], width[far]
-        rate = np.maximum(-0.5 * (np.maximum(start, end - 1.0) + end), 0.0)
-        tail_mean, v[far] = _exponential_moments(rate, span)
-        m[far] = end - tail_mean
-        flat_mass = np.log(np.maximum(span, 1e-300)) - 0.125 * (start + end) ** 2 - _LOG_SQRT_2PI
-        log_mass[far] = np.where(np.isfinite(log_mass[far]) & (span >= 1e-3), log_mass[far], flat_mass)
-    return log_mass, mean + sd * np.where(right, -m, m), variance * v
+    T = posterior.T_target_lidar
+    vertices = (problem.target.vertices - T[:, None, :3, 3]) @ T[:, :3, :3]
+    ranges = np.linalg.norm(problem.edges.points, axis=1)
+    narrower = (
+        2 * posterior.offset * float(np.mean(problem.beam.width(ranges) / ranges))
+    )  # as the target seems to the rings
+    lost = ends.lost_rings
+    outer = np.delete(sensor.elevations, slice(ends.ring[0], ends.ring[-1] + 1))
+    right, left = chords(sight_planes(vertices), outer, ends.reference_azimuth)
+    with np.errstate(invalid="ignore"):
+        steps = np.nan_to_num((left - right - narrower[:, None]) / ends.azimuth_step, neginf=0.0)
+    unseen = np.clip(1.0 - steps, 0.0, 1.0)
+    return np.asarray(np.log(unseen * (1 - lost) + lost).sum(axis=1))
 
 
-def _exponential_moments(rate: Floats, width: Floats) -> tuple[Floats, Floats]:
-    """Mean and variance of the exponential density of a rate on [0, width]; uniform where rate * width is small."""
-    x = rate * width
-    flat = x < 1e-2
-    safe = np.where(flat, 1.0, x)
-    end = 1.0 / np.expm1(np.minimum(safe, 700.0))
-    mean = np.where(flat, width * (0.5 - x / 12), width * (1.0 / safe - end))
-    variance = np.where(flat, width**2 / 12, width**2 * (1.0 / safe**2 - end * (1.0 + end)))
-    return mean, np.maximum(variance, 1e-300)
+def other_edges(problem: Problem, posterior: Posterior) -> Floats:
+    """Distance (C, M, n), metres, of boundary points beyond each edge line; -inf for the edge each is assigned to."""
+    geometry, target = posterior.geometry, problem.target
+    T = posterior.T_target_lidar
+    boundary = _boundary(problem, posterior)
+    y = (boundary @ np.swapaxes(T[:, :3, :3], 1, 2)) + T[:, None, :3, 3]
+    beyond = y[..., 1:] @ target.normals.T - target.offsets
+    np.put_along_axis(beyond, geometry.labels[..., None], -np.inf, axis=-1)
+    return np.asarray(beyond)
 
 
-def mixture_moments(
-    mean: Floats, variance: Floats, lower: Floats, upper: Floats, log_density: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Moments of a Gaussian times a mixture of uniform densities.
+def _boundary(problem: Problem, posterior: Posterior) -> Floats:
+    """(C, M, 3) where the posterior puts the boundary that each edge point stands for, LiDAR frame, on the plane."""
+    T, edges = posterior.T_target_lidar, problem.edges
+    normal = T[:, 0, :3]
+    ray = edges.points + (posterior.inset + posterior.shift)[..., None] * edges.sweep
+    return np.asarray(ray * (-T[:, 0, 3, None] / np.einsum("ci,cmi->cm", normal, ray))[..., None])
+
+
+def exit_probability(problem: Problem, posterior: Posterior) -> Floats:
+    """Logarithm of the probability (C,) that each ring leaves the target by the edge it is assigned to.
+
+    Edge lines are infinite; the target is not: a boundary point must be inside all other edges, as far as the
+    pose and the point's own scatter tell, down to the probability of a lost return.
+    """
+    beyond = other_edges(problem, posterior)
+    worst = beyond.argmax(axis=-1)
+    R = posterior.T_target_lidar[:, :3, :3]
+    normal = np.concatenate([np.zeros((*worst.shape, 1)), problem.target.normals[worst]], axis=-1) @ R
+    J = np.concatenate([np.cross(_boundary(problem, posterior), normal), normal], axis=-1)
+    variance = ((J @ posterior.covariance) * J).sum(axis=-1)
+    variance += posterior.geometry.own
+    inside = log_ndtr(-np.take_along_axis(beyond, worst[..., None], axis=-1)[..., 0] / np.sqrt(variance))
+    return np.asarray(np.maximum(inside, np.log(0.1 * problem.options.lost_ends)).sum(axis=1))
+
+
+def alternative_labels(problem: Problem, posterior: Posterior, limit: int) -> Ints:
+    """Labels (V, M) of the associations that differ from a posterior's in one edge point near a vertex.
 
     Args:
-        mean: (...) of the Gaussian, in any unit.
-        variance: (...) of the Gaussian, in that unit squared.
-        lower: (K, ...) lower ends of the K intervals, in that unit.
-        upper: (K, ...) upper ends, in that unit.
-        log_density: (K, ...) logarithm of each uniform's weight divided by its width.
-
-    Returns:
-        Logarithm of the normaliser, mean and variance of the product, each (...), in those units.
+        problem: one target in one scan.
+        posterior: of one pose.
+        limit: at most so many, those nearest to a vertex.
     """
-    log_mass, m, v = truncated_moments(mean[None], variance[None], lower, upper)
-    log_weight = log_density + log_mass
-    top = log_weight.max(axis=0)
-    weight = np.exp(log_weight - top)
-    total = weight.sum(axis=0)
-    weight /= total
-    mixed = (weight * m).sum(axis=0)
-    spread = (weight * (v + (m - mixed) ** 2)).sum(axis=0)
-    return top + np.log(total), mixed, spread
+    beyond = other_edges(problem, posterior)[0]
+    nearest = beyond.argmax(axis=-1)
+    reach = 0.5 * np.abs(posterior.geometry.along[0]) * problem.edges.width
+    closeness = -beyond.max(axis=-1) / (posterior.sigma[0] + reach)
+    order = np.argsort(closeness)[:limit]
+    order = order[closeness[order] < 1.0]
+    labels = np.repeat(posterior.geometry.labels, len(order), axis=0)
+    labels[np.arange(len(order)), order] = nearest[order]
+    return labels

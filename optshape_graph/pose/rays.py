@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value
+from optshape_graph.chords import chords, sight_planes
 from optshape_graph.edges import EdgePoints, relative_azimuth
 from optshape_graph.scan import Scan
 
@@ -74,7 +75,7 @@ class Rays(Value):
     lost_ring: float
 
     @classmethod
-    def of(cls, scan: Scan, ends: EdgePoints, beam: Floats, extent: float, odd_ends: float, lost_ring: float) -> Rays:
+    def of(cls, scan: Scan, ends: EdgePoints, beam: Floats, extent: float, odd_ends: float) -> Rays:
         """Collect the firings of a scan.
 
         Args:
@@ -83,7 +84,6 @@ class Rays(Value):
             beam: (R,) angle of the beam at the target, rad, of each ring with returns.
             extent: largest diameter of the target, metres.
             odd_ends: share of ring ends that are not what they seem, single lost firings apart.
-            lost_ring: probability that a ring returns nothing wherever the target is.
         """
         assert scan.ring is not None
         step = ends.azimuth_step
@@ -133,7 +133,7 @@ class Rays(Value):
             reference_azimuth=reference,
             lost=lost,
             odd_ends=min(odd_ends + lost, 0.5),
-            lost_ring=lost_ring,
+            lost_ring=ends.lost_rings,
         )
 
     def log_likelihood(self, corners: Floats, offset: Floats) -> Floats:
@@ -208,35 +208,3 @@ def _empty_rings(scan: Scan, extent: float) -> Floats:
     missing = np.setdiff1d(np.arange(max(ring[0] - MISSED, 0), min(ring[-1] + MISSED + 1, len(table))), ring)
     angle = extent / float(np.linalg.norm(scan.points, axis=1).min())
     return np.asarray(table[missing[np.abs(table[missing][:, None] - table[ring]).min(axis=1) < angle]])
-
-
-def sight_planes(corners: Floats) -> Floats:
-    """(S, n, 3) outward unit normals of the planes through the sensor and each edge of polygons (S, n, 3), metres."""
-    normal = np.cross(corners, np.roll(corners, -1, axis=1))
-    inwards = np.sign((normal * corners.mean(axis=1, keepdims=True)).sum(axis=-1, keepdims=True))
-    return np.asarray(-inwards * normal / np.linalg.norm(normal, axis=-1, keepdims=True))
-
-
-def chords(
-    normals: Floats, elevations: Floats, reference_azimuth: float, margin: Floats | float = 0.0
-) -> tuple[Floats, Floats]:
-    """Azimuths between which rings are inside polygons, or outside by at most an angle.
-
-    A ray of azimuth a and elevation e is outside edge k by the angle asin(m . d): at most `margin` where
-    m_x cos a + m_y sin a <= (sin margin - m_z sin e) / cos e, an arc. The chord is where all arcs meet.
-
-    Args:
-        normals: (S, n, 3), see `sight_planes`.
-        elevations: (R,) rad.
-        reference_azimuth: some azimuth of the target, rad.
-        margin: (S,), or one for all, rad.
-
-    Returns:
-        Right and left end (S, R), rad, relative to the reference; right above left where the ring misses.
-    """
-    across = np.hypot(normals[..., 0], normals[..., 1])
-    centre = np.angle((-normals[..., 0] - 1j * normals[..., 1]) * np.exp(-1j * reference_azimuth))
-    level = np.sin(np.atleast_1d(margin))[:, None, None] - normals[..., 2, None] * np.sin(elevations)
-    cosine = level / (np.maximum(across, 1e-300)[..., None] * np.cos(elevations))
-    half = np.where(cosine < -1, -np.inf, np.pi - np.arccos(np.clip(cosine, -1, 1)))
-    return (centre[..., None] - half).max(axis=1), (centre[..., None] + half).min(axis=1)

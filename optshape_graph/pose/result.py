@@ -1,4 +1,4 @@
-"""What is known of the pose of one target from its returns in one scan: the finding, and the estimate made of it."""
+"""The estimate of the pose of one target in one scan: what it says, and how it is saved."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from optshape_graph.factors.static import BiasedMeasurement
 from optshape_graph.io.records import to_record
 from optshape_graph.io.results import RECORD, Result, Row, one_scan
 from optshape_graph.pose.certificate import Certificate
-from optshape_graph.pose.fit import Evidence, Fit
-from optshape_graph.scan import Scan
+from optshape_graph.pose.fit import Fit
 from optshape_graph.se3 import adjoint, apply, inverse, inverse_covariance, skew
 from optshape_graph.target import Target
 
@@ -34,45 +33,6 @@ class Ambiguity(Value):
 
     margin: float
     T_lidar_target: Floats | None
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Finding(Value):
-    """What one of the methods finds in a scan: all that `conclude` judges and records.
-
-    Attributes:
-        target: the template.
-        returns: on the target, angles put right.
-        measurement: all whitened residuals, compressed, taken at the pose that was found.
-        exact: the same for a target without a surface of its own, which has its minimum there too: what is certified.
-        shared: the same before the errors that scans of one static scene share are marginalised, or None.
-        total_weight: sum over the residuals of 1 / sigma^2, 1/m2.
-        ambiguity: margin to the best different pose.
-        log_likelihood: logarithm of the evidence for the target at this pose, up to a constant of the scan.
-        edge_points: the M ring ends used.
-        labels: (M,) edge of each.
-        inset: (M,) azimuth by which the boundary is taken to lie beyond each, rad.
-        edge_sigma: (M,) standard deviation of each edge residual, metres.
-        edge_residuals: (M,) distance of each boundary point from its edge, metres, positive outside.
-        evidence: what the fit is judged by.
-        objection: why the returns are not this target's, in words; empty where they are.
-    """
-
-    target: Target
-    returns: Scan
-    measurement: TemplateMeasurement
-    exact: TemplateMeasurement
-    shared: BiasedMeasurement | None
-    total_weight: float
-    ambiguity: Ambiguity
-    log_likelihood: float
-    edge_points: EdgePoints
-    labels: Ints
-    inset: Floats
-    edge_sigma: Floats
-    edge_residuals: Floats
-    evidence: Evidence
-    objection: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -281,17 +241,17 @@ class PoseEstimate(Result):
     def _document(self) -> dict[str, Any]:
         return {"schema": f"optshape/{self.FORM}/1", "scans": [{**self.to_dict(), RECORD: to_record(self)}]}
 
+    @staticmethod
+    def failed_entry(scan: str, target: str, reason: str) -> dict[str, Any]:
+        """Return what the JSON form says of a scan that gave no estimate, as plain data.
 
-def failed_entry(scan: str, target: str, reason: str) -> dict[str, Any]:
-    """Return what the JSON form says of a scan that gave no estimate, as plain data.
-
-    Args:
-        scan: its name.
-        target: name of the target.
-        reason: why there is none.
-    """
-    empty = dict.fromkeys(
-        ["T_lidar_target", "covariance", "vertices", "certificate", "ambiguity", "equivalent_poses", "inset_rad",
-         "labels", "edge_points", "n_returns", "fit"]
-    )  # fmt: skip
-    return {"scan": scan, "target": target, "status": "failed", "reason": reason, **empty}
+        Args:
+            scan: its name.
+            target: name of the target.
+            reason: why there is none.
+        """
+        empty = dict.fromkeys(
+            ["T_lidar_target", "covariance", "vertices", "certificate", "ambiguity", "equivalent_poses", "inset_rad",
+             "labels", "edge_points", "n_returns", "fit"]
+        )  # fmt: skip
+        return {"scan": scan, "target": target, "status": "failed", "reason": reason, **empty}

@@ -8,196 +8,109 @@ into one measurement.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Value
-from optshape_graph.edges import UP, EdgePoints, extract_edge_points, upward, with_top_and_bottom
+from optshape_graph._arrays import Floats, Ints
+from optshape_graph.edges import UP, EdgePoints
 from optshape_graph.factors.measurement import refine, template_rows
 from optshape_graph.factors.static import (
+    BLOOMING,
     EDGE_OFFSET,
-    ELEVATION,
     OUTER_EDGE,
     STRAIN,
     BiasedMeasurement,
     SharedError,
+    angle_errors,
 )
-from optshape_graph.pose.association import ReturnsPlane, enumerate_poses, fit_plane
-from optshape_graph.pose.azimuth_grid import at_firing_times, level_rings, place_on_firings
-from optshape_graph.pose.fit import Evidence
-from optshape_graph.pose.modes import Modes, SampledPose, compare_modes, rank
-from optshape_graph.pose.noise import EdgeNoise, PlaneReturns, one_scan, plane_measurement, returns_on_plane
-from optshape_graph.pose.options import PoseOptions
-from optshape_graph.pose.outline import Ends, fit_ends, strain_columns, tilt_of_rings
-from optshape_graph.pose.propagation import EdgeGeometry, Posterior, Problem, edge_geometry
-from optshape_graph.pose.result import Ambiguity, Finding
-from optshape_graph.pose.surface import PlaneResiduals, Surface, as_seen, displaced, find_surface
-from optshape_graph.scan import Scan
+from optshape_graph.pose.evidence import Evidence, Finding
+from optshape_graph.pose.modes import Modes, SampledPose, compare_modes, find_candidates
 from optshape_graph.se3 import difference, vec, vec_derivative
-from optshape_graph.sensor import SensorModel
-from optshape_graph.target import Target
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Measured(Value):
-    """What was measured, whatever the pose.
-
-    Attributes:
-        scan: the returns, angles put right.
-        angular_noise: standard deviation of an angle, rad; 0 where angles are exact.
-        tilt: how elevations vary with azimuth within rings, see `tilt_of_rings`.
-        edges: both ends of each ring, on the grid of firings.
-        plane: of the returns.
-        returns: all returns against a plane near the target's, with the noise that the sensor file states.
-        off_plane: how they lie off it, and the noise and the biases that they show.
-        surface: the shape in these distances.
-        on_plane: the returns of the plane, with noise and biases as large as they are seen, compressed.
-        problem: the target in this scan.
-    """
-
-    scan: Scan
-    angular_noise: float
-    tilt: tuple[float, float]
-    edges: EdgePoints
-    plane: ReturnsPlane
-    returns: PlaneReturns
-    off_plane: PlaneResiduals
-    surface: Surface
-    on_plane: BiasedMeasurement
-    problem: Problem
-
-
-def measure(scan: Scan, target: Target, options: PoseOptions) -> Measured:
-    """Find both ends of each ring and the plane of the returns, with their noise.
-
-    Raises:
-        EstimationError: the returns span no plane, or no azimuth step is to be found.
-    """
-    scan = at_firing_times(scan)
-    assert scan.ring is not None
-    ring, as_recorded = scan.ring, scan
-    scan, angular_noise = level_rings(scan)
-    edges = place_on_firings(extract_edge_points(scan), scan, angular_noise)
-    plane = fit_plane(scan.points, ring)
-    returns = returns_on_plane(scan, plane.axes[0], plane.distance, angular_noise, options)
-    off_plane = PlaneResiduals.of(returns, plane, target, ring)
-    seen = as_seen(returns, off_plane).with_elevations(
-        plane.axes[0], ring[off_plane.usual], _elevation_error(scan.sensor)
-    )
-    on_plane = plane_measurement(seen)
-    bounded = edges if angular_noise else _bounded(edges, scan)
-    problem = Problem(bounded, target, one_scan(on_plane).quadratic(), EdgeNoise.of(scan.sensor, options))
-    surface, tilt = find_surface(off_plane), tilt_of_rings(as_recorded)
-    return Measured(scan, angular_noise, tilt, edges, plane, returns, off_plane, surface, on_plane, problem)
-
-
-def _elevation_error(sensor: SensorModel | None) -> float:
-    return sensor.elevation_error if sensor else SensorModel.elevation_error
-
-
-def find_candidates(measured: Measured) -> Posterior:
-    """Find the posterior of the pose under every association that is worth it, likeliest first.
+def find_by_rings(evidence: Evidence) -> Finding:
+    """Find a target's pose by the edges on which its rings end; see `estimate_pose`.
 
     Raises:
         EstimationError: no pose explains the returns.
     """
-    starts = enumerate_poses(measured.edges, measured.plane, measured.problem.target)
-    return rank(measured.problem, starts, measured.scan, measured.edges)
-
-
-def find_by_rings(scan: Scan, target: Target, options: PoseOptions) -> Finding:
-    """Find a target's pose by the edges on which its rings end; see `estimate_pose`.
-
-    Raises:
-        EstimationError: the returns determine no pose at all.
-    """
-    measured = measure(scan, target, options)
-    scan, edges, problem, on_plane = measured.scan, measured.edges, measured.problem, measured.on_plane
-    modes = compare_modes(find_candidates(measured), problem, scan, edges)
+    problem, on_plane, n = evidence.bounded, evidence.on_plane, len(evidence.problem.edges)
+    modes = compare_modes(find_candidates(evidence), evidence)
 
     # The best mode in one measurement, at its minimum.
-    best, n = modes.candidates.select(slice(0, 1)), len(edges)
+    best = modes.candidates.select(slice(0, 1))
     T, labels, offset = best.T_target_lidar, best.geometry.labels, float(best.offset[0])
     if modes.sampled is not None:
         T, offset = modes.sampled.T_target_lidar[None], modes.sampled.offset
-        labels = edge_geometry(problem, T).labels
-    of_ends = replace(problem, edges=edges)
-    ends = fit_ends(of_ends, T[0], labels[0, :n])
+        labels = problem.geometry(T).labels
+    ends = evidence.problem.fit(T[0], labels[0, :n])
     if modes.sampled is None:
-        on_edges, edge_weight = _edge_measurement(problem, modes, ends, _elevation_error(scan.sensor))
+        on_edges, edge_weight = _edge_measurement(evidence, modes, ends.seen_strain, ends.factor)
     else:
-        on_edges, edge_weight = sampled_measurement(modes.sampled, on_plane)
+        offset_sd = problem.beam.offset_of_rays(np.linalg.norm(problem.edges.points, axis=1))
+        on_edges, edge_weight = sampled_measurement(modes.sampled, on_plane, offset_sd)
     shared = on_edges + on_plane
 
     # What is uncertain beside: the surface, and associations that disagree or ends that scatter more than they should.
-    def displace(shared: BiasedMeasurement, T_target_lidar: Floats) -> BiasedMeasurement:
-        return displaced(shared, measured.surface, measured.off_plane, target, T_target_lidar)
-
-    T_target_lidar = refine(one_scan(shared).at(T[0]))
+    T_target_lidar = refine(shared.of_one_scan().at(T[0]))
     if modes.sampled is None:
-        factor = _disagreement(displace(shared, T_target_lidar), T_target_lidar, modes)
+        factor = _disagreement(evidence.displaced(shared, T_target_lidar), T_target_lidar, modes)
     else:
         factor = ends.factor
     shared = replace(shared, stack=shared.stack / factor)
-    exact = one_scan(shared).at(T_target_lidar)  # errors that are shared weigh otherwise now: its minimum is its own
+    exact = shared.of_one_scan().at(T_target_lidar)  # shared errors weigh otherwise now: its minimum is its own
     T_target_lidar = refine(exact)
-    shared = displace(shared, T_target_lidar)
+    shared = evidence.displaced(shared, T_target_lidar)
 
     # How the ring ends lie about the edges there.
-    final = edge_geometry(problem, T_target_lidar[None], labels)
+    final = problem.geometry(T_target_lidar[None], labels)
     return Finding(
-        target=target,
-        returns=scan,
-        measurement=one_scan(shared).at(T_target_lidar),
+        evidence=evidence,
+        measurement=shared.of_one_scan().at(T_target_lidar),
         exact=exact,
         shared=shared,
-        total_weight=edge_weight + float((1 / measured.returns.sigma**2).sum()),
-        ambiguity=Ambiguity(modes.margin, modes.rival),
+        total_weight=edge_weight + float((1 / evidence.returns.sigma**2).sum()),
+        margin=modes.margin,
+        rival=modes.rival,
         log_likelihood=modes.log_likelihood,
-        edge_points=edges,
         labels=final.labels[0, :n],
         inset=best.inset[0, :n],
         edge_sigma=best.sigma[0, :n],
         edge_residuals=(final.residual[0] + best.inset[0] * final.along[0])[:n],
-        evidence=Evidence(
-            scan, of_ends, measured.off_plane, measured.surface, ends, measured.angular_noise, measured.tilt
-        ),
-        objection=_objection(problem, final, offset, options.min_explained),
+        ends=ends,
+        objection=_objection(evidence, T_target_lidar, labels, offset),
     )
 
 
-def _bounded(edges: EdgePoints, scan: Scan) -> EdgePoints:
-    """Add that the target ends before the next ring: exact angles are taken for granted.
-
-    Where rings in between are lost, the next one may be lost too. (With noisy azimuths a lone return of the outermost
-    ring may lie beside the target.) Neither bounds anything.
-    """
-    complete = edges.n_rings == edges.ring[-1] - edges.ring[0] + 1
-    return with_top_and_bottom(edges, scan) if complete else edges
-
-
 def _edge_measurement(
-    problem: Problem, modes: Modes, ends: Ends, elevation_error: float
+    evidence: Evidence, modes: Modes, strain: float, factor: float
 ) -> tuple[BiasedMeasurement, float]:
     """Boundary points against their edges, before what they share is marginalised; and their weight.
 
-    They share the offset across the edges, and the strains of an outline that isn't as drawn, as large as are seen;
-    those of a ring its elevation's error. Ends that scatter more than they should count less.
+    They share the offset across the edges, the blooming, and the strains of an outline that isn't as drawn, as large as
+    are seen; those of a ring the errors of its elevation and of its azimuth. Ends that scatter more than they should
+    count less.
 
     Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely
     take part: a weighted mean of their costs is a cost of the same form. Its minimum is near the mixture's mean where
     a weight is the association's probability over how sure that association is of its pose, against the others.
 
+    Args:
+        evidence: of the scan.
+        modes: what was found in it.
+        strain: of the outline, as far as it is seen.
+        factor: on standard deviations of ring ends.
+
     Returns:
         The measurement, and the sum of 1 / sigma^2, 1/m2.
     """
-    weight, posterior = modes.weights, modes.candidates
+    problem, weight, posterior = evidence.bounded, modes.weights, modes.candidates
     covariance = posterior.covariance
     mean = np.einsum("c,cij->ij", weight, covariance)
     weight = weight / np.trace(np.linalg.solve(covariance, mean), axis1=1, axis2=2)
     weight /= weight.sum()
-    rings, outside = np.unique(problem.edges.ring), np.abs(problem.edges.side) == UP
+    outside = np.abs(problem.edges.side) == UP
     rows, total = [], 0.0
     for k in np.flatnonzero(weight):
         one = posterior.select(slice(k, k + 1))
@@ -206,15 +119,17 @@ def _edge_measurement(
         A, r = template_rows(
             boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]] + geometry.shift[0]
         )
-        own, outer = _outer_edges(problem.edges, sigma, geometry.own[0])
-        offset = geometry.across[0] * problem.noise.COMMON
-        strains = ends.seen_strain * strain_columns(problem.target, geometry.labels[0], boundary, one.T_target_lidar[0])
-        up = (geometry.direction[0] * (upward(boundary) @ one.T_target_lidar[0, :3, :3].T)).sum(axis=1)
-        lifted = elevation_error * up[:, None] * (problem.edges.ring[:, None] == rings)
-        whitened = np.column_stack([offset, strains, outer, lifted, A, r]) / (ends.factor * own[:, None])
+        of_ring = geometry.lifted[0] ** 2 + geometry.turned[0] ** 2
+        sigma = np.sqrt(np.maximum(sigma**2 - of_ring, 0.1 * sigma**2))
+        own, outer = _outer_edges(problem.edges, sigma, geometry.own[0] - of_ring)
+        offset = geometry.across[0] * problem.beam.common
+        further = -geometry.along[0] * problem.blooming[:, 0]
+        strains = strain * problem.strains(geometry.labels[0], boundary, one.T_target_lidar[0])
+        by_angle, angles = angle_errors(geometry.lifted[0], geometry.turned[0], problem.edges.ring)
+        whitened = np.column_stack([offset, further, strains, outer, by_angle, A, r]) / (factor * own[:, None])
         shifts = _without_shifts(problem.ring_shifts * (geometry.along[0] / own)[:, None])
         rows.append(np.sqrt(weight[k]) * shifts @ whitened)
-        total += float(weight[k] * (1 / (ends.factor * sigma) ** 2).sum())
+        total += float(weight[k] * (1 / (factor * sigma) ** 2).sum())
     stack = np.vstack(rows)
     measurement = BiasedMeasurement.from_rows(
         stack[:, -13:-1],
@@ -222,9 +137,9 @@ def _edge_measurement(
         stack[:, -1],
         posterior.T_target_lidar[0],
         [
-            *(SharedError(kind) for kind in (EDGE_OFFSET, *STRAIN)),
+            *(SharedError(kind) for kind in (EDGE_OFFSET, BLOOMING, *STRAIN)),
             *(SharedError(OUTER_EDGE, ring=int(ring)) for ring in problem.edges.ring[outside]),
-            *(SharedError(ELEVATION, ring=int(ring)) for ring in rings),
+            *angles,
         ],
     )
     return replace(measurement, n_rows=len(problem.edges)), total
@@ -246,30 +161,37 @@ def _outer_edges(edges: EdgePoints, sigma: Floats, own: Floats) -> tuple[Floats,
     return new, (np.eye(len(sigma)) * np.sqrt(np.maximum(sigma**2 - new**2, 0.0)))[:, outside]
 
 
-def sampled_measurement(sampled: SampledPose, on_plane: BiasedMeasurement) -> tuple[BiasedMeasurement, float]:
+def sampled_measurement(
+    sampled: SampledPose, on_plane: BiasedMeasurement, offset_sd: float
+) -> tuple[BiasedMeasurement, float]:
     """Say of the edges what, with the plane, makes the pose that was sampled, its covariance and the offset's.
 
     Near the mean (R0, t0) a right perturbation (w, v) is linear in z = [vec R; t]: w is half of what is skew in
     R0^T R, and v = R0^T (t - t0). w vanishes for a half turn too; two rows of second order, the diagonal of R0^T R less
     1, tell that apart.
 
+    Args:
+        sampled: pose and offset.
+        on_plane: what the returns of the plane say.
+        offset_sd: standard deviation of the offset before the scan, in beam widths.
+
     Returns:
         The measurement, in z and the common offset, and the sum of 1 / sigma^2, 1/m2.
     """
     T = sampled.T_target_lidar
-    scale = np.append(np.ones(6), EdgeNoise.COMMON)
+    scale = np.append(np.ones(6), offset_sd)
     total = np.linalg.inv(sampled.covariance) * np.outer(scale, scale)
     elsewhere, pull = np.zeros((7, 7)), np.zeros(7)  # of the plane, and of the offset's prior
-    plane = one_scan(on_plane).at(T)
+    plane = on_plane.of_one_scan().at(T)
     J = plane.jacobian(T)
     elsewhere[:6, :6], elsewhere[6, 6] = J.T @ J, 1.0
-    pull[:6], pull[6] = J.T @ plane.residual(T), sampled.offset / EdgeNoise.COMMON
+    pull[:6], pull[6] = J.T @ plane.residual(T), sampled.offset / offset_sd
     # What is left is the edges'. Where samples scatter more than the plane alone would let them, almost nothing is.
     root = np.linalg.cholesky(total)
     values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, total - elsewhere).T))
     values = np.maximum(values, 1e-3)
     whiten = np.sqrt(values)[:, None] * (root @ vectors).T
-    constant = whiten @ np.append(np.zeros(6), -sampled.offset / EdgeNoise.COMMON) - np.linalg.solve(whiten.T, pull)
+    constant = whiten @ np.append(np.zeros(6), -sampled.offset / offset_sd) - np.linalg.solve(whiten.T, pull)
     K = 0.5 * vec_derivative(T).T
     K[3:] *= 2.0
     straight = np.array([_diagonal(T, axis) for axis in (1, 2)]) * np.sqrt(0.5 * total[0, 0])
@@ -306,17 +228,19 @@ def _disagreement(shared: BiasedMeasurement, T_target_lidar: Floats, modes: Mode
         return 1.0
     xi = difference(T_target_lidar, posterior.T_target_lidar[rows])
     second_moment = np.einsum("c,cij->ij", weight[rows], posterior.covariance[rows] + xi[:, :, None] * xi[:, None, :])
-    return float(np.sqrt(max(1.0, np.trace(one_scan(shared).information(T_target_lidar) @ second_moment) / 6.0)))
+    return float(np.sqrt(max(1.0, np.trace(shared.of_one_scan().information(T_target_lidar) @ second_moment) / 6.0)))
 
 
-def _objection(problem: Problem, geometry: EdgeGeometry, offset: float, min_explained: float) -> str:
+def _objection(evidence: Evidence, T_target_lidar: Floats, labels: Ints, offset: float) -> str:
     """Say how many ring ends lie elsewhere than a last return may, give or take 3 sigma, where those are too many."""
+    problem, edges = evidence.bounded, evidence.bounded.edges
+    geometry = problem.geometry(T_target_lidar[None], labels)
     along = geometry.along[0]
-    boundary = geometry.residual[0] + offset * geometry.across[0] + along * problem.edges.middle
-    half = np.abs(along) * 0.5 * problem.edges.width
-    scatter = np.sqrt(geometry.own[0] + (problem.edges.shift * along) ** 2)
+    boundary = geometry.residual[0] + offset * geometry.across[0] + along * edges.middle
+    half = np.abs(along) * 0.5 * edges.width
+    scatter = np.sqrt(geometry.own[0] + (edges.shift * along) ** 2)
     explained = np.abs(boundary) < half + 3 * scatter
-    if explained.mean() >= min_explained:
+    if explained.mean() >= problem.options.min_explained:
         return ""
     count = f"{(~explained).sum()} of {len(explained)}"
     return f"{count} ring ends do not end on an edge: not this target, or its returns are mixed"

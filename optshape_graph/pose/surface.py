@@ -15,17 +15,10 @@ from functools import cached_property
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
-from optshape_graph.factors.static import SURFACE, BiasedMeasurement, SharedError
+from optshape_graph.factors.plane_returns import PlaneReturns
 from optshape_graph.gaussian import f_tail
-from optshape_graph.pose.association import ReturnsPlane, fit_plane
-from optshape_graph.pose.noise import PlaneReturns, one_scan, returns_on_plane
-from optshape_graph.scan import Scan
-from optshape_graph.se3 import adjoint, inverse
+from optshape_graph.plane import ReturnsPlane
 from optshape_graph.target import Target
-
-SEEN = 0.02
-"""Probability of the F test below which a shape counts as seen, and its size widens the pose: one clean scan in fifty
-pays for one that isn't there, and little, for what chance makes is small."""
 
 PRIOR_RINGS = 4
 """Rings that the sensor file's word on their biases is worth: a file is right to a third or so."""
@@ -76,7 +69,7 @@ class PlaneResiduals(Value):
             target: its size is the unit of places.
             ring: (N,) of each return.
         """
-        e, yz = -returns.offset, (returns.points - plane.centre) @ plane.axes[1:].T / gyration(target)
+        e, yz = -returns.offset, (returns.points - plane.centre) @ plane.axes[1:].T / target.gyration
         noise = float(np.sqrt(np.mean(returns.sigma**2)))
         bias = max(float(np.mean(returns.bias.sum(axis=1) * returns.sigma)), 1e-6)
         _, column, counts = np.unique(ring, return_inverse=True, return_counts=True)
@@ -95,13 +88,6 @@ class PlaneResiduals(Value):
         square = float(np.sum((medians - medians.mean()) ** 2)) - freedom * own
         seen = np.sqrt(max(PRIOR_RINGS * bias**2 + square, 0.0) / (PRIOR_RINGS + freedom)) if freedom else 0.0
         return cls(e, yz, column, rest, usual, max(noise, within), max(bias, float(seen)), noise, bias)
-
-    @classmethod
-    def of_scan(cls, scan: Scan, target: Target) -> PlaneResiduals:
-        """Return those of a scan with rings from the plane that fits it best."""
-        assert scan.ring is not None
-        plane = fit_plane(scan.points, scan.ring)
-        return cls.of(returns_on_plane(scan, plane.axes[0], plane.distance), plane, target, scan.ring)
 
     @property
     def excess(self) -> float:
@@ -128,6 +114,46 @@ class PlaneResiduals(Value):
             _schur(columns[:, :-1].T @ columns[:, :-1], base) / max(len(columns), 1),
             len(columns) - base,
         )
+
+    def as_seen(self, returns: PlaneReturns) -> PlaneReturns:
+        """Return what is of the plane, with noise and biases as large as they are seen."""
+        return returns.widened(self.noise / self.file_noise, self.bias / self.file_bias).select(self.usual)
+
+    def surface(self, seen: float) -> Surface:
+        """Look for a bend and for a fold: of a probability below `seen`, or of no size."""
+        bend_p, _, bend = self.beyond(3, self.terms[:, 3:]).together()
+        hinges = np.column_stack([np.abs(self.yz @ [np.cos(a), np.sin(a)] - d) for a, d in _HINGES])
+        fold_p, fold = self.beyond(3, hinges).best()
+        shape, p, size = ("bend", bend_p, bend) if bend_p <= fold_p else ("fold", fold_p, fold)
+        return Surface(shape, size if p < seen else 0.0, p)
+
+    def sheets(self, azimuth: Floats) -> Sheets:
+        """Look for two revolutions, by neighbours in azimuth and by the order in which the returns were recorded.
+
+        Args:
+            azimuth: (N,) of each return, in the order of recording, rad.
+        """
+        order = np.lexsort((azimuth, self.column))
+        same = np.diff(self.column[order]) == 0
+        r = np.where(self.usual, self.rest, 0.0)[order]
+        product = float((r[1:] * r[:-1])[same].sum() / max(float((r**2).sum()), 1e-30))
+        again = _second_pass(self.column, azimuth)
+        if again is None:
+            return Sheets(product, product * float(np.sqrt(same.sum())), 0.0, 1.0)
+        p, _, apart = self.beyond(6, again[:, None] * self.terms[:, :3]).together()
+        return Sheets(product, product * float(np.sqrt(same.sum())), apart, p)
+
+    def rim_step(self, rim: Bools, inner: Bools) -> tuple[float, float]:
+        """How far the rim stands off what else a surface of second order explains, metres, and its chance.
+
+        Args:
+            rim: (N,) whether each is of the rim.
+            inner: (N,) those that are asked: without the outermost of each ring, which may be mixed.
+        """
+        if min((rim & inner).sum(), (~rim & inner).sum()) < FEWEST_OF_RIM:
+            return 0.0, 1.0
+        p, x, _ = self.beyond(6, rim[:, None].astype(float), inner).together()
+        return float(x[0]), p
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -179,55 +205,6 @@ class Surface(Value):
     probability: float
 
 
-def as_seen(returns: PlaneReturns, residuals: PlaneResiduals) -> PlaneReturns:
-    """Return what is of the plane, with noise and biases as large as they are seen."""
-    noise, bias = residuals.noise / residuals.file_noise, residuals.bias / residuals.file_bias
-    return returns.widened(noise, bias).select(residuals.usual)
-
-
-def displaced(
-    measurement: BiasedMeasurement, surface: Surface, residuals: PlaneResiduals, target: Target, T_target_lidar: Floats
-) -> BiasedMeasurement:
-    """Let the plane that was fitted lie off the target's own.
-
-    A shape of rms e leaves the plane's distance open by 2 e, and its tilts by 2 e over the radius of gyration: which
-    part of it was drawn as the plane nobody knows. The place in the plane goes with it, for rays keep their directions.
-
-    Args:
-        measurement: of the pose.
-        surface: the shape in the distances from the plane.
-        residuals: these distances.
-        target: the template.
-        T_target_lidar: (4, 4) where the measurement is at its minimum.
-    """
-    if surface.size + residuals.excess == 0:
-        return measurement
-    tilt = 2 * surface.size / gyration(target)
-    plane, within = [1, 2, 3], [0, 4, 5]  # turns about y and z and the shift along x; the rest
-    Ad = adjoint(inverse(T_target_lidar))
-    information = Ad.T @ one_scan(measurement).information(T_target_lidar) @ Ad
-    effect = np.zeros((6, 3))
-    effect[plane] = np.diag([tilt, tilt, np.hypot(2 * surface.size, residuals.excess)])
-    effect[within] = -np.linalg.solve(
-        information[np.ix_(within, within)], information[np.ix_(within, plane)] @ effect[plane]
-    )
-    return measurement.displaced([SharedError(kind) for kind in SURFACE], effect, T_target_lidar)
-
-
-def gyration(target: Target) -> float:
-    """Radius of gyration of a disc of the target's area, metres: sqrt(area / 2 pi)."""
-    return float(np.sqrt(target.area / (2 * np.pi)))
-
-
-def find_surface(residuals: PlaneResiduals) -> Surface:
-    """Look for a bend and for a fold."""
-    bend_p, _, bend = residuals.beyond(3, residuals.terms[:, 3:]).together()
-    hinges = np.column_stack([np.abs(residuals.yz @ [np.cos(a), np.sin(a)] - d) for a, d in _HINGES])
-    fold_p, fold = residuals.beyond(3, hinges).best()
-    shape, p, size = ("bend", bend_p, bend) if bend_p <= fold_p else ("fold", fold_p, fold)
-    return Surface(shape, size if p < SEEN else 0.0, p)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Sheets(Value):
     """Signs of two revolutions, the target moved in between.
@@ -243,24 +220,6 @@ class Sheets(Value):
     score: float
     apart: float
     probability: float
-
-
-def sheets(residuals: PlaneResiduals, azimuth: Floats) -> Sheets:
-    """Look for two revolutions, by neighbours in azimuth and by the order in which the returns were recorded.
-
-    Args:
-        residuals: of the returns, in the order of recording.
-        azimuth: (N,) of each, rad.
-    """
-    order = np.lexsort((azimuth, residuals.column))
-    same = np.diff(residuals.column[order]) == 0
-    r = np.where(residuals.usual, residuals.rest, 0.0)[order]
-    product = float((r[1:] * r[:-1])[same].sum() / max(float((r**2).sum()), 1e-30))
-    again = _second_pass(residuals.column, azimuth)
-    if again is None:
-        return Sheets(product, product * float(np.sqrt(same.sum())), 0.0, 1.0)
-    p, _, apart = residuals.beyond(6, again[:, None] * residuals.terms[:, :3]).together()
-    return Sheets(product, product * float(np.sqrt(same.sum())), apart, p)
 
 
 def _second_pass(column: Ints, azimuth: Floats) -> Floats | None:
@@ -280,20 +239,6 @@ def _second_pass(column: Ints, azimuth: Floats) -> Floats | None:
     signs = np.empty(len(column))
     signs[order] = np.where(passed - first > 0, 1.0, -1.0)
     return signs
-
-
-def rim_step(residuals: PlaneResiduals, rim: Bools, inner: Bools) -> tuple[float, float]:
-    """How far the rim stands off what else a surface of second order explains, metres, and its probability by chance.
-
-    Args:
-        residuals: of the returns.
-        rim: (N,) whether each is of the rim.
-        inner: (N,) those that are asked: without the outermost of each ring, which may be mixed.
-    """
-    if min((rim & inner).sum(), (~rim & inner).sum()) < FEWEST_OF_RIM:
-        return 0.0, 1.0
-    p, x, _ = residuals.beyond(6, rim[:, None].astype(float), inner).together()
-    return float(x[0]), p
 
 
 def second_order(yz: Floats) -> Floats:

@@ -87,8 +87,10 @@ def run_files(
         InputError: not one of the files can be read, or the output or its journal cannot be written.
     """
     what = {"form": form, "version": optshape_graph.__version__, **describe, "files": fingerprint(paths)}
-    journal_path = None if output is None else journal_of(output)
-    with Journal(journal_path, what, len(paths)) as journal, going_on(lambda: _advice(journal)):
+    with (
+        Journal(journal_of(output), what, len(paths)) as journal,
+        going_on(lambda: journal.advice(f"{journal.finished} of {journal.count} files are done")),
+    ):
         if progress is not None:
             progress(journal.finished, len(paths))
         for number, line in (pool or Pool()).run(_Kept(function), ((n, paths[n]) for n in journal.todo())):
@@ -104,14 +106,6 @@ def run_files(
             write_entries(output, f"optshape/{form}/1", (line["entry"] for line in journal))
         yield journal
         journal.remove()
-
-
-def _advice(journal: Journal) -> str:
-    """What is kept of a run that was stopped."""
-    done = f"{journal.finished} of {journal.count} files are done"
-    if journal.path is None:
-        return f"{done}, none is kept without --json"
-    return f"{done} and kept in {journal.path}; the same command goes on there"
 
 
 def write_entries(path: Path, schema: str, entries: Iterator[str]) -> None:

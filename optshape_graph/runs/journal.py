@@ -15,6 +15,7 @@ import re
 from array import array
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -23,10 +24,14 @@ from optshape_graph.errors import InputError
 KIND = "journal of optshape_graph, 1"
 """What the first line says that the file is."""
 
-MOST_TASKS = 100_000_000
+MOST_AHEAD = 100_000
+"""Tasks by which one may be finished before those in front of it, where their number is not known."""
 
 _PIECE = 1 << 18
 """Bytes that are read at once."""
+
+_FIRST = json.dumps({"kind": KIND}).encode()[:-1]
+"""What a journal begins with."""
 
 _TASK = re.compile(rb'\{"task": (\d{1,12}),')
 
@@ -46,11 +51,10 @@ class Journal:
     def __init__(self, path: Path | None, describe: Mapping[str, Any], count: int | None) -> None:
         self.path = path
         self.finished = 0
-        self._most = MOST_TASKS if count is None else count
         self._places = array("q", [-1]) * (count or 0)
         self._file = _unnamed() if path is None else _locked(path)
         try:
-            self._begin({"kind": KIND, "digest": digest({**describe, "tasks": count}), "tasks": count})
+            self._begin({"kind": KIND, "digest": digest({**describe, "tasks": count}), "tasks": count}, count)
         except BaseException:
             self._file.close()
             raise
@@ -98,10 +102,13 @@ class Journal:
         """
         if task in self:
             return
-        data = json.dumps({"task": task, **line}, allow_nan=False).encode() + b"\n"
+        self._note(task, self._append({"task": task, **line}))
+
+    def _append(self, line: Mapping[str, Any]) -> int:
+        """Write a line at the end, whole or not at all; return its place."""
         place = self._file.seek(0, os.SEEK_END)
         try:
-            left = memoryview(data)
+            left = memoryview(json.dumps(line, allow_nan=False).encode() + b"\n")
             while left:  # a disk that is nearly full takes a part first, and says why with the next
                 left = left[self._file.write(left) :]
         except OSError as error:
@@ -109,7 +116,7 @@ class Journal:
             raise InputError(
                 f"{self.path or 'temporary file'}: cannot be written ({error.strerror or error})"
             ) from error
-        self._note(task, place)
+        return place
 
     def _note(self, task: int, place: int) -> None:
         """Remember where the line of a task stands."""
@@ -118,8 +125,22 @@ class Journal:
         self.finished += self._places[task] < 0
         self._places[task] = place
 
+    def advice(self, what: str) -> str:
+        """Return what is kept of a run that was stopped, and how to go on.
+
+        Args:
+            what: is kept, with its number: "3 of 5 files are done".
+        """
+        if self.path is None:
+            return f"{what}; nothing is kept without --json"
+        if not self.finished:
+            return what
+        return f"{what}, and kept in {self.path}; the same command goes on there"
+
     def close(self) -> None:
-        """Close the file, and let others have it."""
+        """Close the file, and let others have it; one in which nothing is finished goes."""
+        if self.path is not None and not self.finished:
+            self.path.unlink(missing_ok=True)
         self._file.close()
 
     def remove(self) -> None:
@@ -128,30 +149,33 @@ class Journal:
             self.path.unlink(missing_ok=True)
         self.close()
 
-    def _begin(self, header: dict[str, Any]) -> None:
+    def _begin(self, header: dict[str, Any], count: int | None) -> None:
         lines = self._lines()
-        first = next(lines, None)
-        if first is None:  # new, or killed at once
-            self._file.truncate(0)
-            self._file.seek(0)
-            self._file.write(json.dumps(header).encode() + b"\n")
-            return
-        found = self._parsed(first[1], None)
-        if found.get("kind") != KIND:
+        first, second = next(lines, None), next(lines, None)
+        found = None if first is None else self._parsed(first[1], None)
+        if not self._new() if found is None else found.get("kind") != KIND:
             raise InputError(f"{self.path}: expected the journal of a run, found another file; choose another output")
+        if first is None or second is None:  # nothing is finished: new, or killed at once
+            self._file.truncate(0)
+            self._append(header)
+            return
         if found != header:
             raise InputError(
                 f"{self.path}: holds what is finished of another run (other inputs, options or version); go on with "
                 "the same command as before, or remove it to begin anew"
             )
-        end = len(first[1]) + 1
-        for place, line in lines:
+        for place, line in chain([second], lines):
             match = _TASK.match(line)
-            if match is None or int(match[1]) >= self._most:
+            if match is None or int(match[1]) >= (self.finished + MOST_AHEAD if count is None else count):
                 raise InputError(f"{self.path}: not a line of a journal at byte {place}; remove the file to begin anew")
             self._note(int(match[1]), place)
             end = place + len(line) + 1
         self._file.truncate(end)
+
+    def _new(self) -> bool:
+        """Whether the file is empty, or the beginning of a first line."""
+        start = os.pread(self._file.fileno(), len(_FIRST), 0)
+        return _FIRST.startswith(start)
 
     def _lines(self) -> Iterator[tuple[int, bytes]]:
         """The whole lines of the file, each with its place. The file has no buffer, so that a line is one write."""
@@ -173,8 +197,10 @@ class Journal:
         return value
 
 
-def journal_of(output: Path) -> Path:
-    """Return the path of the journal of an output file: beside it."""
+def journal_of(output: Path | None) -> Path | None:
+    """Return the path of the journal of an output file: beside it; None where it is no file, as /dev/stdout is none."""
+    if output is None or (output.exists() and not output.is_file()):
+        return None
     return output.with_name(f"{output.name}.journal")
 
 

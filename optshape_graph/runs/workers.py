@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from optshape_graph.errors import InputError, OptshapeError, missing_extra
+from optshape_graph.io.files import read_head
+from optshape_graph.runs.interruption import SIGNALS
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -173,7 +175,7 @@ class _Worker(Generic[T, R]):
         context = get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, self._function), daemon=True)
-        with _one_thread_for_children():
+        with _one_thread_for_children(), _signals_later():
             self._process.start()
         theirs.close()
 
@@ -235,10 +237,24 @@ def _one_thread_for_children() -> Iterator[None]:
                 os.environ[name] = value
 
 
+@contextmanager
+def _signals_later() -> Iterator[None]:
+    """Hold back signals, here and in processes that are started meanwhile: these take theirs when they have begun."""
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # it lets signals through when it is started
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
     """Do tasks until there are no more; end when the process that started this one has ended."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the parent decides
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    for number in SIGNALS:  # a terminal sends SIGINT to all, and the parent decides
+        signal.signal(number, signal.SIG_IGN if number == signal.SIGINT else signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
         pipe.send((True, None))  # all that the function needs is loaded
@@ -278,29 +294,31 @@ def _on_cluster(
         from distributed import Client, KilledWorker, Security, as_completed
     except ImportError as cause:
         raise missing_extra("distributed", "dask", cause) from cause
+    if tls is not None:
+        _check_certificates(*tls)
     _check_reachable(address)
     security: dict[str, Any] = {}
     if tls is not None:
         authority, certificate, key = map(str, tls)
-        security["security"] = Security(  # type: ignore[no-untyped-call]
+        security["security"] = Security(
             tls_ca_file=authority, tls_client_cert=certificate, tls_client_key=key, require_encryption=True
         )
     try:
-        client = Client(address, timeout=SCHEDULER_TIMEOUT_S, **security)  # type: ignore[no-untyped-call]  # no stubs
+        client = Client(address, timeout=SCHEDULER_TIMEOUT_S, **security)
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"no Dask scheduler answers at {address} ({error})") from error
     with client:
         remaining, numbers = iter(tasks), dict[Any, int]()
-        finished = as_completed(raise_errors=False)  # type: ignore[no-untyped-call]
+        finished = as_completed(raise_errors=False)
 
         def submit() -> None:
             task = next(remaining, None)
             if task is not None:
                 future = client.submit(OneThread(function), task[1], pure=False, retries=1)
                 numbers[future.key] = task[0]
-                finished.add(future)  # type: ignore[no-untyped-call]
+                finished.add(future)
 
-        threads = sum(client.nthreads().values()) or 1  # type: ignore[no-untyped-call]
+        threads = sum(client.nthreads().values()) or 1
         for _ in range(AHEAD * threads):
             submit()
         for future in finished:
@@ -312,6 +330,31 @@ def _on_cluster(
                 raise failure
             else:
                 yield number, future.result()
+
+
+def _check_certificates(authority: Path, certificate: Path, key: Path) -> None:
+    """Read the files for TLS, so that an error names the one that is wrong.
+
+    Raises:
+        InputError: they are no certificates and key in PEM, the key is another's, or a password locks it.
+    """
+    import ssl
+
+    for path in (authority, certificate, key):
+        read_head(path, 1)  # missing, or not to be read
+        if not path.is_file():
+            raise InputError(f"{path}: expected a file")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    try:
+        context.load_verify_locations(authority)
+    except OSError as error:
+        raise InputError(f"{authority}: expected the certificate of an authority, in PEM ({error})") from error
+    try:
+        context.load_cert_chain(certificate, key, password="")  # else it is asked for, on the terminal
+    except OSError as error:
+        raise InputError(
+            f"{certificate}, {key}: expected a certificate and its own key without password, in PEM ({error})"
+        ) from error
 
 
 def _check_reachable(address: str) -> None:

@@ -7,6 +7,7 @@ from optshape_graph.simulation.mesh import Mesh
 from optshape_graph.simulation.motion import ConstantTwist, Motion, Trajectory
 from optshape_graph.simulation.noise import IDEAL, NoiseModel
 from optshape_graph.simulation.placement import pose_from_rpy
+from optshape_graph.simulation.rays import AngleErrors
 from optshape_graph.simulation.room import room
 from optshape_graph.simulation.scene import (
     Scene,
@@ -24,6 +25,7 @@ from optshape_graph.simulation.uniform import spinning_at, uniform_sensor
 
 __all__ = [
     "IDEAL",
+    "AngleErrors",
     "Box",
     "ConstantTwist",
     "Floor",

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from optshape_graph._arrays import Bools, Floats
 from optshape_graph.errors import InputError
 from optshape_graph.sensor import SensorModel
-from optshape_graph.simulation.rays import EdgeMargin
+from optshape_graph.simulation.rays import AngleErrors, EdgeMargin
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,11 @@ class NoiseModel:
         azimuth_noise: standard deviation of one azimuth, rad.
         elevation_noise: standard deviation of one elevation, rad.
         ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
+        elevation_error: standard deviation over rings of how far a ring's elevation is off the sensor's table, rad.
+        azimuth_error: standard deviation over rings of how far a ring's azimuth is off, rad.
+        brightness_bias: standard deviation of the range bias that each surface in a scan has, metres.
+        blooming: standard deviation of the azimuth by which targets reach further, in a scan, on each side, rad.
+        odd_ends: share of ring ends on targets of which one firing more returns, or one to three fewer.
         range_resolution: step to which ranges are rounded, metres; 0: not rounded.
         dropout: probability that a return at normal incidence is lost. At incidence i it is dropout**cos(i), so
             that nothing returns from a surface seen along itself.
@@ -36,6 +41,8 @@ class NoiseModel:
         edge_spread: how far from there the decision falls at an edge, in beam radii: half the width of a uniform
             distribution, drawn once for a scan and again for every ray. What is behind the target, its reflectance
             and the threshold decide in fact, and none of them is modelled.
+        common_edge_spread: of the part that is drawn once for a scan; None: as `edge_spread`. 0: it is always where
+            `hit_fraction` has it.
         random_phase: whether the azimuth grid is shifted by a random part of a step in every revolution, as in
             sensors that do not lock their phase.
 
@@ -47,10 +54,16 @@ class NoiseModel:
     azimuth_noise: float = 0.0
     elevation_noise: float = 0.0
     ring_bias: float = 0.0
+    elevation_error: float = 0.0
+    azimuth_error: float = 0.0
+    brightness_bias: float = 0.0
+    blooming: float = 0.0
+    odd_ends: float = 0.0
     range_resolution: float = 0.0
     dropout: float = 0.0
     hit_fraction: float = 0.5
     edge_spread: float = 0.0
+    common_edge_spread: float | None = None
     random_phase: bool = False
 
     def __post_init__(self) -> None:
@@ -59,12 +72,19 @@ class NoiseModel:
             "azimuth_noise",
             "elevation_noise",
             "ring_bias",
+            "elevation_error",
+            "azimuth_error",
+            "brightness_bias",
+            "blooming",
             "range_resolution",
             "edge_spread",
+            "common_edge_spread",
         ):
             value = getattr(self, field)
-            if not (np.isfinite(value) and value >= 0):
+            if value is not None and not (np.isfinite(value) and value >= 0):
                 raise InputError(f"noise: {field} {value} is not a number >= 0")
+        if not 0 <= self.odd_ends < 1:
+            raise InputError(f"noise: share of odd ring ends {self.odd_ends} is not a share below 1")
         if not 0 <= self.dropout < 1:
             raise InputError(f"noise: dropout {self.dropout} is not a probability below 1")
         if not 0 < self.hit_fraction < 1:
@@ -72,13 +92,18 @@ class NoiseModel:
 
     @classmethod
     def of(cls, sensor: SensorModel) -> NoiseModel:
-        """Return what the sensor's own model says: its range noise, ring bias and resolution.
+        """Return what the sensor's own model says: noise, its rings' errors, resolution, blooming and odd ring ends.
 
         The azimuth phase is free, and a partial hit may or may not return, wherever in the beam the edge lies.
         """
         return cls(
             range_noise=sensor.range_noise,
-            ring_bias=sensor.ring_bias,
+            ring_bias=_rms(sensor.range_bias_sds),
+            elevation_error=_rms(sensor.elevation_sds),
+            azimuth_error=_rms(sensor.azimuth_sds),
+            brightness_bias=sensor.brightness_bias,
+            blooming=sensor.blooming,
+            odd_ends=sensor.odd_ends,
             range_resolution=sensor.range_resolution,
             edge_spread=1.0,
             random_phase=True,
@@ -127,13 +152,31 @@ class NoiseModel:
         """(n_rings,) range bias of each ring, metres: draw once for a sensor, or once for a scan."""
         return rng.normal(0.0, self.ring_bias, n_rings) if self.ring_bias > 0 else np.zeros(n_rings)
 
+    def draw_brightness_bias(self, n_surfaces: int, rng: np.random.Generator) -> Floats:
+        """(n_surfaces,) range bias of each surface, metres."""
+        return rng.normal(0.0, self.brightness_bias, n_surfaces) if self.brightness_bias > 0 else np.zeros(n_surfaces)
+
+    def draw_angle_errors(self, n_rings: int, rng: np.random.Generator) -> AngleErrors:
+        """Return how far the rings look elsewhere than the sensor's table says: draw once for a sensor, or for a scan.
+
+        Args:
+            n_rings: number of rings.
+            rng: source of randomness; what it gives afterwards does not depend on this.
+        """
+        own = rng.spawn(1)[0]
+        return AngleErrors(
+            self.elevation_error * own.normal(size=n_rings), self.azimuth_error * own.normal(size=n_rings)
+        )
+
     def draw_phase(self, step: float, rng: np.random.Generator) -> float:
         """Azimuth by which a revolution's grid is shifted, rad: 0 unless the phase is free."""
         return float(rng.uniform(0.0, step)) if self.random_phase else 0.0
 
     def widest_edge_margin(self, sensor: SensorModel) -> EdgeMargin:
         """Return one that no ray exceeds."""
-        return EdgeMargin(np.array([1.0 + 2.0 * self.edge_spread]), sensor.beam_divergence, sensor.beam_aperture)
+        widest = 1.0 + self.edge_spread + max(self.edge_spread, self.common_edge_spread or 0.0)
+        further = MOST_BLOOMING * self.blooming
+        return EdgeMargin(np.array([widest]), sensor.beam_divergence, sensor.beam_aperture, further)
 
     def draw_edge_margin(self, sensor: SensorModel, n_rays: int, rng: np.random.Generator) -> EdgeMargin:
         """Return by how much each beam's axis may pass outside an edge and still return.
@@ -146,8 +189,12 @@ class NoiseModel:
         radii = np.array([self.edge_shift])
         if self.edge_spread > 0:
             spread = self.edge_spread
-            radii = radii + rng.uniform(-spread, spread) + rng.uniform(-spread, spread, n_rays)
-        return EdgeMargin(radii, sensor.beam_divergence, sensor.beam_aperture)
+            common = spread if self.common_edge_spread is None else self.common_edge_spread
+            radii = radii + rng.uniform(-common, common) + rng.uniform(-spread, spread, n_rays)
+        further = (
+            float(np.clip(rng.normal(), -MOST_BLOOMING, MOST_BLOOMING)) * self.blooming if self.blooming > 0 else 0.0
+        )
+        return EdgeMargin(radii, sensor.beam_divergence, sensor.beam_aperture, further)
 
     def draw_survivors(self, cos_incidence: Floats, rng: np.random.Generator) -> Bools:
         """(N,) whether a return at each (N,) cosine of incidence is detected."""
@@ -177,6 +224,14 @@ class NoiseModel:
         if self.elevation_noise > 0:
             elevation = elevation + rng.normal(0.0, self.elevation_noise, len(ranges))
         return ranges, azimuth, elevation
+
+
+MOST_BLOOMING = 4.0
+"""Standard deviations by which a target blooms at most."""
+
+
+def _rms(sds: Floats) -> float:
+    return float(sds[0]) if (sds == sds[0]).all() else float(np.sqrt(np.mean(sds**2)))
 
 
 LEVELS: dict[int, tuple[float, float, float]] = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,11 +30,15 @@ class EdgeMargin(Value):
             inside.
         divergence: full angle of the beam, rad.
         aperture: width of the beam where it leaves the sensor, metres.
+        further: azimuth by which a ray may pass outside beside, rad: blooming. Negative: by which it must pass inside.
+        axis: (3,) of the revolution, world frame.
     """
 
     radii: Floats
     divergence: float = 0.0
     aperture: float = 0.0
+    further: float = 0.0
+    axis: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
     def angle(self, index: Ints, ranges: Floats) -> Floats:
         """(M,) rad, of rays (M,) at ranges (M,), metres."""
@@ -48,8 +52,8 @@ class EdgeMargin(Value):
             distance: (N,) of its centre from the rays' origins, metres.
         """
         # Twice the margin at the centre: it is an angle, and what is in the sphere may be up to twice as far.
-        width = self.divergence * distance + self.aperture
-        return np.asarray((sphere[1] + np.abs(self.radii).max(initial=0.0) * width) * (1 + 1e-9))
+        width = np.abs(self.radii).max(initial=0.0) * (self.divergence * distance + self.aperture)
+        return np.asarray((sphere[1] + width + 2 * max(self.further, 0.0) * distance) * (1 + 1e-9))
 
 
 NO_MARGIN = EdgeMargin(np.zeros(1))
@@ -75,27 +79,45 @@ def unit_vectors(azimuth: Floats, elevation: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class AngleErrors(Value):
+    """How far the rings of one copy of a sensor look elsewhere than its file says.
+
+    Attributes:
+        elevation: (R,) rad by which each ring looks higher.
+        azimuth: (R,) rad by which it looks farther to the left.
+    """
+
+    elevation: Floats
+    azimuth: Floats
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Revolution(Value):
     """The rays of one revolution, LiDAR frame, in firing order: ring by ring in every column of azimuth.
 
     Attributes:
         sensor: whose rays they are.
         columns: (A,) azimuth of each column, rad, from half a turn before x to half a turn after.
+        errors: where the rings look elsewhere than the sensor's file says; None: nowhere.
         spin_rate: revolutions per second.
     """
 
     sensor: SensorModel
     columns: Floats
     spin_rate: float = 10.0
+    errors: AngleErrors | None = None
 
     @classmethod
-    def of(cls, sensor: SensorModel, phase: float = 0.0, spin_rate: float = 10.0) -> Revolution:
+    def of(
+        cls, sensor: SensorModel, phase: float = 0.0, spin_rate: float = 10.0, errors: AngleErrors | None = None
+    ) -> Revolution:
         """Return the revolution with columns at azimuth k step + phase, k integer.
 
         Args:
             sensor: the sensor; its azimuth step is used as it is (see `spinning_at`).
             phase: rad.
             spin_rate: revolutions per second; sets the times.
+            errors: of the rings' directions.
 
         Raises:
             InputError: the sensor's azimuth step is not known, or so small that there are too many rays.
@@ -111,14 +133,14 @@ class Revolution(Value):
             )
         first = int(np.ceil(-np.pi / step - 1e-9))
         columns = step * np.arange(first, first + round(2 * np.pi / step), dtype=float) + phase
-        return cls(sensor, columns, spin_rate)
+        return cls(sensor, columns, spin_rate, errors)
 
     def __len__(self) -> int:
         return len(self.columns) * self.sensor.n_rings
 
     def facing(self, spheres: Sequence[Sphere]) -> Revolution:
         """Return the columns in which a ray may pass one of some spheres, in the LiDAR frame."""
-        widest = 0.0 if self.sensor.azimuth_offsets is None else float(np.abs(self.sensor.azimuth_offsets).max())
+        widest = float(np.abs(self._looks[1]).max())
         keep = np.zeros(len(self.columns), dtype=bool)
         for (x, y, _), radius in spheres:
             away = np.hypot(x, y)
@@ -131,24 +153,34 @@ class Revolution(Value):
     @cached_property
     def directions(self) -> Floats:
         """(N, 3) unit vectors."""
-        azimuth = self.columns[:, None]
-        if self.sensor.azimuth_offsets is not None:
-            azimuth = azimuth + self.sensor.azimuth_offsets
-        return unit_vectors(azimuth, self.sensor.elevations[None, :]).reshape(-1, 3)
+        elevations, offsets = self._looks
+        return unit_vectors(self.columns[:, None] + offsets, elevations[None, :]).reshape(-1, 3)
+
+    @cached_property
+    def _looks(self) -> tuple[Floats, Floats]:
+        """Elevation and azimuth offset (R,) of each ring, as they are."""
+        offsets = np.zeros(self.sensor.n_rings) if self.sensor.azimuth_offsets is None else self.sensor.azimuth_offsets
+        if self.errors is None:
+            return self.sensor.elevations, offsets
+        return self.sensor.elevations + self.errors.elevation, offsets + self.errors.azimuth
+
+    @cached_property
+    def _reported(self) -> SensorModel:
+        return self.sensor.as_reported
 
     def ring(self, index: Ints) -> Ints:
         """(M,) ring of each of (M,) rays."""
         return index % self.sensor.n_rings
 
     def elevation(self, index: Ints) -> Floats:
-        """(M,) elevation of each of (M,) rays, rad."""
-        return np.asarray(self.sensor.elevations[self.ring(index)])
+        """(M,) elevation of each of (M,) rays, rad, as it is reported."""
+        return np.asarray(self._reported.elevations[self.ring(index)])
 
     def azimuth(self, index: Ints) -> Floats:
-        """(M,) azimuth of each of (M,) rays, rad."""
+        """(M,) azimuth of each of (M,) rays, rad, as it is reported."""
         azimuth = self.columns[index // self.sensor.n_rings]
-        if self.sensor.azimuth_offsets is not None:
-            azimuth = azimuth + self.sensor.azimuth_offsets[self.ring(index)]
+        if self._reported.azimuth_offsets is not None:
+            azimuth = azimuth + self._reported.azimuth_offsets[self.ring(index)]
         return azimuth
 
     def time(self, index: Ints) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,11 +12,12 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.scan import Scan
-from optshape_graph.se3 import inverse
+from optshape_graph.se3 import PoseLike, as_transform, inverse
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation.motion import Motion
 from optshape_graph.simulation.noise import IDEAL, NoiseModel
-from optshape_graph.simulation.rays import EdgeMargin, Revolution, unit_vectors
+from optshape_graph.simulation.odd_ends import make_odd_ends
+from optshape_graph.simulation.rays import AngleErrors, EdgeMargin, Revolution, unit_vectors
 from optshape_graph.simulation.surfaces import Patch, Surface
 from optshape_graph.target import Target
 
@@ -77,11 +79,12 @@ class SimulatedScan(Value):
 def simulate(
     scene: Scene,
     sensor: SensorModel,
-    T_world_lidar: Floats | Motion | None = None,
+    T_world_lidar: PoseLike | Motion | None = None,
     *,
     noise: NoiseModel = IDEAL,
     rng: np.random.Generator | int = 0,
     range_bias: Floats | None = None,
+    angle_errors: AngleErrors | None = None,
     spin_rate: float = 10.0,
     name: str = "simulated",
 ) -> SimulatedScan:
@@ -94,7 +97,9 @@ def simulate(
             ray is fired from the pose at its own time, and its point is in the LiDAR frame of that time.
         noise: how measurements err; none by default.
         rng: generator or seed.
-        range_bias: (R,) range bias of each ring, metres; None: drawn from the noise.
+        range_bias: (R,) range bias of each ring beside the one that the sensor's file has, metres; None: drawn from
+            the noise.
+        angle_errors: how far rings look elsewhere than the sensor's file says; None: drawn from the noise.
         spin_rate: revolutions per second; sets the times.
         name: the scan's name.
 
@@ -102,21 +107,29 @@ def simulate(
         InputError: the sensor has no azimuth step, or range biases of another number of rings.
     """
     rng = np.random.default_rng(rng)
-    rays = Revolution.of(sensor, noise.draw_phase(sensor.azimuth_step or 0.0, rng), spin_rate)
+    errors = noise.draw_angle_errors(sensor.n_rings, rng) if angle_errors is None else angle_errors
+    rays = Revolution.of(sensor, noise.draw_phase(sensor.azimuth_step or 0.0, rng), spin_rate, errors)
     bias = noise.draw_range_bias(sensor.n_rings, rng) if range_bias is None else frozen(range_bias)
     if bias.shape != (sensor.n_rings,):
         raise InputError(f"sensor '{sensor.name}' has {sensor.n_rings} rings; found range biases of shape {bias.shape}")
-    placement = np.eye(4) if T_world_lidar is None else T_world_lidar
+    bias = bias + sensor.deviations[0]
+    placement: Any = np.eye(4) if T_world_lidar is None else T_world_lidar
+    if not hasattr(placement, "at"):  # no motion
+        placement = as_transform(placement, "T_world_lidar")
     if isinstance(placement, np.ndarray):
         rays = _facing(rays, scene, placement, noise.widest_edge_margin(sensor))
     origins, directions = _place(rays, placement)
 
-    margin = noise.draw_edge_margin(sensor, len(rays), rng)
+    margin = replace(noise.draw_edge_margin(sensor, len(rays), rng), axis=_pose_at_stamp(placement)[:3, 2])
     ranges, surface, cos_incidence = _cast(scene, origins, directions, margin)
+    if noise.odd_ends > 0:
+        for k, patch in enumerate(scene.targets):
+            make_odd_ends(k, patch, origins, directions, sensor.n_rings, ranges, surface, noise.odd_ends, rng)
     hit = np.flatnonzero((surface >= 0) & (ranges >= sensor.min_range) & (ranges <= sensor.max_range))
     hit = hit[noise.draw_survivors(cos_incidence[hit], rng)]
     ring = rays.ring(hit)
-    r, azimuth, elevation = noise.measure(ranges[hit], rays.azimuth(hit), rays.elevation(hit), bias[ring], rng)
+    bias = bias[ring] + noise.draw_brightness_bias(len(scene.surfaces), rng)[surface[hit]]
+    r, azimuth, elevation = noise.measure(ranges[hit], rays.azimuth(hit), rays.elevation(hit), bias, rng)
     reflectivity = np.array([thing.reflectivity for thing in scene.surfaces])
     scan = Scan(
         points=r[:, None] * unit_vectors(azimuth, elevation),
@@ -132,11 +145,12 @@ def simulate(
 def simulate_target(
     target: Target,
     sensor: SensorModel,
-    T_lidar_target: Floats,
+    T_lidar_target: PoseLike,
     *,
     noise: NoiseModel = IDEAL,
     rng: np.random.Generator | int = 0,
     range_bias: Floats | None = None,
+    angle_errors: AngleErrors | None = None,
     name: str = "simulated",
 ) -> Scan:
     """Return one revolution's returns on one target, and nothing else: see `simulate`.
@@ -147,11 +161,14 @@ def simulate_target(
         T_lidar_target: (4, 4) the target's pose.
         noise: how measurements err; none by default.
         rng: generator or seed.
-        range_bias: (R,) range bias of each ring, metres; None: drawn from the noise.
+        range_bias: (R,) range bias of each ring beside the one that the sensor's file has, metres; None: drawn from
+            the noise.
+        angle_errors: how far rings look elsewhere than the sensor's file says; None: drawn from the noise.
         name: the scan's name.
     """
-    scene = Scene((Patch(target, np.asarray(T_lidar_target, dtype=float)),))
-    return simulate(scene, sensor, noise=noise, rng=rng, range_bias=range_bias, name=name).scan
+    scene = Scene((Patch(target, as_transform(T_lidar_target, "T_lidar_target")),))
+    made = simulate(scene, sensor, noise=noise, rng=rng, range_bias=range_bias, angle_errors=angle_errors, name=name)
+    return made.scan
 
 
 def random_rings(scan: Scan, share: float, rng: np.random.Generator | int = 0) -> Ints:

@@ -9,6 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
+from optshape_graph.se3 import as_transform
 from optshape_graph.simulation.rays import NO_MARGIN, EdgeMargin, Sphere, at
 from optshape_graph.target import Target
 
@@ -52,6 +53,9 @@ class Patch(Value):
     T_world_patch: Floats
     reflectivity: float = 0.8
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_world_patch", as_transform(self.T_world_patch, "T_world_patch"))
+
     @property
     def bounds(self) -> Sphere:
         """See `Surface.bounds`."""
@@ -60,8 +64,9 @@ class Patch(Value):
     def cast(self, origins: Floats, directions: Floats, margin: EdgeMargin) -> Hits:
         """Intersect with the plane inside the polygon; see `Surface.cast`.
 
-        A beam's angle beyond edge k is that between its axis and the plane through its origin and the edge. A beam
-        whose axis is outside and that returns nevertheless is given the range of the polygon's plane on its axis.
+        A beam's angle beyond edge k is that between its axis and the plane through its origin and the edge; blooming
+        takes off what the ray's azimuth adds to it. A beam whose axis is outside and that returns nevertheless is given
+        the range of the polygon's plane on its axis.
         """
         R, t = self.T_world_patch[:3, :3], self.T_world_patch[:3, 3]
         near = towards_sphere(origins, directions, self.bounds, margin)
@@ -71,7 +76,10 @@ class Patch(Value):
         vertices = self.shape.vertices
         outward = np.cross(np.roll(vertices, -1, axis=0) - vertices, vertices - o[:, None, :])
         outward *= -np.sign(o[:, None, :1]) / np.linalg.norm(outward, axis=-1, keepdims=True)
-        sin_beyond = np.einsum("mkj,mj->mk", outward, d).max(axis=1)
+        sin_beyond = np.einsum("mkj,mj->mk", outward, d)
+        if margin.further:
+            sin_beyond -= margin.further * np.abs(np.einsum("mkj,mj->mk", outward, np.cross(margin.axis @ R, d)))
+        sin_beyond = sin_beyond.max(axis=1)
         ahead = np.flatnonzero(np.isfinite(ranges) & (ranges > 0))
         hit = ahead[sin_beyond[ahead] <= np.sin(margin.angle(near[ahead], ranges[ahead]))]
         return near[hit], ranges[hit], np.abs(d[hit, 0])
@@ -123,6 +131,7 @@ class Box(Value):
         if size.shape != (3,) or not (np.isfinite(size).all() and (size > 0).all()):
             raise InputError(f"box: expected three extents > 0, found {size.tolist()}")
         object.__setattr__(self, "size", size)
+        object.__setattr__(self, "T_world_box", as_transform(self.T_world_box, "T_world_box"))
 
     @property
     def bounds(self) -> Sphere:

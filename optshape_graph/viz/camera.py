@@ -30,8 +30,17 @@ if TYPE_CHECKING:
 LIDAR_COLOUR, CAMERA_COLOUR, CORNER_COLOUR = (60, 60, 255), (255, 200, 0), (80, 220, 80)
 """Blue, green, red: the outline predicted from the LiDAR, the camera's own, and the corners found in the image."""
 
+AXES = (("x", (80, 80, 255)), ("y", (80, 200, 80)), ("z", (255, 140, 60)))
+"""Of the target's frame, as the camera has it, and their colours."""
+
+AXIS = 0.5
+"""Length of these axes, in circumradii of the target."""
+
 RANGES = (1.0, 30.0)
 """Ranges, metres, that the colours run over, yellow to violet, in equal ratios."""
+
+TICKS = (1, 2, 5, 10, 20, 30)
+"""Ranges, metres, that the scale names."""
 
 POINTS_PER_EDGE = 50
 
@@ -76,7 +85,7 @@ def plot_view_errors(calibration: CameraCalibration) -> Figure:
 
 def draw_overlay(calibration: CameraCalibration, number: int) -> np.ndarray:
     """Draw one view: the returns that the lens can see on the image, the outline by the LiDAR (red) and by the camera
-    (light blue), and the corners found (green crosses).
+    (light blue), the corners found (green crosses), the axes of the target by the camera, and the scale of the ranges.
 
     Args:
         calibration: the result.
@@ -104,6 +113,8 @@ def draw_overlay(calibration: CameraCalibration, number: int) -> np.ndarray:
         _outline(picture, camera, view.target, T_camera_lidar @ pose_alone(lidar_side, rig), LIDAR_COLOUR)
         caption = f"LiDAR's outline red, {caption}"
     _corners(picture, view.image.points.pixels)
+    _axes(picture, camera, view.target, pose_alone(camera_side, rig))
+    _scale(picture)
     _caption(picture, calibration, number, caption)
     return np.asarray(picture)
 
@@ -143,8 +154,7 @@ def _returns(
     if not len(in_camera):
         return
     near, far = np.log(RANGES)
-    share = np.clip((np.log(distance) - near) / (far - near), 0, 1)
-    colours = cv2.applyColorMap((255 * (1 - share)).astype(np.uint8)[:, None], cv2.COLORMAP_PLASMA)[:, 0]
+    colours = _by_range((np.log(distance) - near) / (far - near))
     for pixel, colour in zip(project(camera, in_camera), colours, strict=True):
         if (pixel >= 0).all() and (pixel < (camera.width, camera.height)).all():
             cv2.circle(picture, [int(x) for x in pixel], radius, [int(c) for c in colour], -1, cv2.LINE_AA)
@@ -167,7 +177,49 @@ def _outline(
 def _corners(picture: np.ndarray, pixels: Floats) -> None:
     cv2 = opencv()
     for u, v in np.round(pixels).astype(int).tolist():
-        cv2.drawMarker(picture, (u, v), CORNER_COLOUR, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
+        cv2.drawMarker(picture, (u, v), CORNER_COLOUR, cv2.MARKER_CROSS, 13, 1, cv2.LINE_AA)
+
+
+def _by_range(share: Floats) -> np.ndarray:
+    """(N, 3) colours, blue, green, red, of shares of the way from the nearest range to the farthest."""
+    cv2 = opencv()
+    levels = (255 * (1 - np.clip(share, 0, 1))).astype(np.uint8)
+    return np.asarray(cv2.applyColorMap(levels[:, None], cv2.COLORMAP_PLASMA)[:, 0])
+
+
+def _axes(picture: np.ndarray, camera: CameraIntrinsics, target: Target, T_camera_target: Floats) -> None:
+    """Draw the axes of the target's frame with their names: x is away from the sensors."""
+    cv2 = opencv()
+    ends = apply(T_camera_target, np.vstack([np.zeros(3), AXIS * target.circumradius * np.eye(3)]))
+    if not in_view(camera, ends).all():
+        return
+    origin, *tips = np.round(project(camera, ends)).astype(int).tolist()
+    for tip, (name, colour) in zip(tips, AXES, strict=True):
+        cv2.arrowedLine(picture, origin, tip, colour, 2, cv2.LINE_AA, tipLength=0.08)
+        cv2.putText(picture, name, (tip[0] + 6, tip[1] - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.7, colour, 2, cv2.LINE_AA)
+
+
+def _scale(picture: np.ndarray) -> None:
+    """Draw the colours of the ranges down the right side, with metres beside them."""
+    cv2 = opencv()
+    height, width = picture.shape[:2]
+    length, thick = height // 3, max(width // 100, 6)
+    top, right = (height - length) // 2, width - 8
+    left = right - thick
+    cv2.rectangle(picture, (left - 64, top - 34), (width - 1, top + length + 14), (0, 0, 0), -1)
+    picture[top : top + length, left:right] = _by_range(np.linspace(0, 1, length))[:, None]
+    near, far = np.log(RANGES)
+
+    def write(text: str, left_end: int, row: int) -> None:
+        cv2.putText(picture, text, (left_end, row), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (255, 255, 255), 1, cv2.LINE_AA)
+
+    write("range", left - 60, top - 14)
+    for tick in TICKS:
+        row = top + round((np.log(tick) - near) / (far - near) * (length - 1))
+        text = f"{tick} m"
+        (across, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
+        cv2.line(picture, (left - 5, row), (left, row), (255, 255, 255), 1)
+        write(text, left - 9 - across, row + 6)
 
 
 def _caption(picture: np.ndarray, calibration: CameraCalibration, number: int, text: str) -> None:

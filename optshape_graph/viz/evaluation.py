@@ -6,19 +6,21 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from optshape_graph.evaluation.harness import Row
-from optshape_graph.viz.style import COLOURS, GREY, legend_below, new_figure, plain
+from optshape_graph.viz.style import GREY, colour, legend_below, new_figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+STYLES = ("-", "--", ":", "-.")
+"""Of orientations, in turn."""
 
 PANELS = (("rmse_m", "RMSE of the vertices (m)"), ("e_t_m", "translation (m)"), ("e_r_deg", "rotation (deg)"))
 
 
 def plot_sweep(cells: Sequence[Row]) -> Figure:
-    """Plot mean errors over distance: a row per error, a column per method.
+    """Plot mean errors over distance, with bars up to the 95th percentile: a row per error, a column per method.
 
-    Solid lines are the first orientation, dashed ones the others; grey is the Cramer-Rao bound of the first noise
-    level, where rows have one.
+    Every orientation has its line style; grey is the Cramer-Rao bound of the first noise level, where rows have one.
 
     Args:
         cells: of `summarise`, by method, noise, orientation and range.
@@ -39,15 +41,17 @@ def plot_sweep(cells: Sequence[Row]) -> Figure:
             if column == 0:
                 panel.set_ylabel(label)
             for k, orientation in enumerate(orientations):
-                style = "-" if k == 0 else "--"
-                for level, colour in zip(levels, COLOURS, strict=False):
+                style = STYLES[k % len(STYLES)]
+                for number, level in enumerate(levels):
                     line = [
                         c for c in cells if (c["method"], c["noise"], c["orientation"]) == (method, level, orientation)
                     ]
                     drawn = [c for c in line if c[f"{name}_mean"] is not None]
-                    panel.plot(
-                        [c["range_m"] for c in drawn], [c[f"{name}_mean"] for c in drawn], style, color=colour, lw=1.3,
-                        label=f"noise {level}, {orientation}",
+                    means = [c[f"{name}_mean"] for c in drawn]
+                    bars = [max(c[f"{name}_p95"] - c[f"{name}_mean"], 0.0) for c in drawn]
+                    panel.errorbar(
+                        [c["range_m"] for c in drawn], means, yerr=[[0.0] * len(bars), bars], ls=style, lw=1.3,
+                        color=colour(number), elinewidth=0.7, capsize=2, label=f"noise {level}, {orientation}",
                     )  # fmt: skip
                     bounded = [c for c in line if c[f"{name}_bound"] is not None]
                     if level == levels[0]:
@@ -55,8 +59,9 @@ def plot_sweep(cells: Sequence[Row]) -> Figure:
                             [c["range_m"] for c in bounded], [c[f"{name}_bound"] for c in bounded], style,
                             color=GREY, lw=1.0, label=f"bound, {orientation}",
                         )  # fmt: skip
-    legend_below(figure, axes[0, 0], columns=3)
-    figure.suptitle("mean errors over distance; grey: Cramér-Rao bound of the first noise level")
+    said = "Bars: up to the 95th percentile. Grey: Cramér-Rao bound of the first noise level."
+    legend_below(figure, axes[0, 0], columns=3, caption=said)
+    figure.suptitle("mean errors over distance")
     return figure
 
 

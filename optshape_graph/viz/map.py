@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optshape_graph._arrays import Floats
 from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.track import MappingProblem
 from optshape_graph.viz.style import (
     GREY,
     INK,
+    ORANGE,
     VERMILLION,
     colour,
     ellipse,
@@ -29,12 +31,18 @@ if TYPE_CHECKING:
 SIGMAS = 3.0
 """Standard deviations that ellipses enclose in each direction."""
 
+ARROWS = 24
+"""Headings that are drawn along a trajectory, about."""
+
 MOST_NAMES = 40
 """Landmarks whose names are written."""
 
 
 def plot_map(result: Map, magnify: float | None = None) -> Figure:
-    """Draw landmarks, trajectories and ellipses of three standard deviations, seen along -z.
+    """Draw landmarks, the way they face and their ellipses of three standard deviations, and trajectories, from above.
+
+    A trajectory has arrows along the x axis of its LiDAR; a landmark, one to the side that the LiDAR sees, between the
+    two that its heading may have within three standard deviations.
 
     Args:
         result: the map.
@@ -48,6 +56,12 @@ def plot_map(result: Map, magnify: float | None = None) -> Figure:
         path = trajectory.poses[:, :3, 3]
         axes.plot(path[:, 0], path[:, 1], "-", color=colour(k), lw=1.2, label=f"trajectory {literal(name)}".strip())
         axes.plot(path[0, 0], path[0, 1], "o", color=colour(k), ms=5, label=None if k else "start")
+        headings = trajectory.poses[:: max(len(path) // ARROWS, 1)]
+        axes.quiver(
+            *headings[:, :2, 3].T, *_unit(headings[:, :2, 0]).T, angles="xy", units="dots", scale_units="dots",
+            width=3.0, headwidth=5, headlength=6, headaxislength=6, minlength=0, scale=1 / 26.0, color=colour(k),
+            zorder=3,
+        )  # fmt: skip
     drawn = [*(t.poses[:, :2, 3] for t in result.trajectories.values()), *(m.vertices[:, :2] for m in result.landmarks)]
     extent = float(np.ptp(np.vstack(drawn), axis=0).max()) if drawn else 1.0
     covariances = [_from_above(landmark) for landmark in result.landmarks]
@@ -59,12 +73,15 @@ def plot_map(result: Map, magnify: float | None = None) -> Figure:
         place = landmark.T_world_target[:2, 3]
         loop = place + magnify * ellipse(C, SIGMAS)
         axes.plot(loop[:, 0], loop[:, 1], color=VERMILLION, lw=1.0)
-        if len(result.landmarks) <= MOST_NAMES:
-            axes.annotate(literal(landmark.id), tuple(place), textcoords="offset points", xytext=(8, 8))
+        tip = _facing(axes, landmark)
+        if len(result.landmarks) <= MOST_NAMES:  # above outline and ellipse
+            above = float(place[0]), float(max(loop[:, 1].max(), landmark.vertices[:, 1].max(), tip[1]))
+            axes.annotate(literal(landmark.id), above, (0, 5), textcoords="offset points", ha="center", va="bottom")
     large = "" if magnify == 1 else f", drawn {magnify:g} times too large"
     axes.set_title(f"{len(result.landmarks)} landmarks; ellipses of {SIGMAS:g} standard deviations{large}")
+    said = f"Orange: the way a landmark faces, and {SIGMAS:g} standard deviations to each side. Arrows: x of the LiDAR."
     if result.trajectories:
-        legend_below(figure)
+        legend_below(figure, caption=said)
     return figure
 
 
@@ -102,9 +119,28 @@ def plot_structure(problem: MappingProblem) -> Figure:
 def _axes() -> tuple[Figure, Axes]:
     figure = new_figure(8.0, 8.0)
     axes = plain(figure.subplots())
+    axes.margins(0.15)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x of the world (m)", ylabel="y of the world (m)")
     return figure, axes
+
+
+def _unit(xy: Floats) -> Floats:
+    """(..., 2) directions of length 1."""
+    return np.asarray(xy / np.maximum(np.linalg.norm(xy, axis=-1, keepdims=True), 1e-9))
+
+
+def _facing(axes: Axes, landmark: Landmark) -> Floats:
+    """Draw the way a landmark faces, and the two that it may face within `SIGMAS`; return the line's end, (2,)."""
+    place, facing = landmark.T_world_target[:2, 3], -_unit(landmark.T_world_target[:2, 0])
+    R = landmark.T_world_target[:3, :3]
+    sd = float(np.sqrt(max((R @ landmark.covariance[:3, :3] @ R.T)[2, 2], 0.0)))
+    length = 0.75 * landmark.target.circumradius
+    for turn in (-SIGMAS * sd, 0.0, SIGMAS * sd):
+        c, s = np.cos(turn), np.sin(turn)
+        end = place + length * np.array([[c, -s], [s, c]]) @ facing
+        axes.plot(*np.column_stack([place, end]), color=ORANGE, lw=1.4 if turn == 0.0 else 0.7, zorder=2)
+    return np.asarray(place + length * facing)
 
 
 def _from_above(landmark: Landmark) -> np.ndarray:

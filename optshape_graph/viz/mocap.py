@@ -166,5 +166,5 @@ def plot_marker_layout(calibration: MocapCalibration) -> Figure:
     large = "" if factor == 1 else f"; offsets drawn {factor:g} times too large"
     axes.set_title(f"markers and vertices, as the LiDAR sees them{large}")
     title = f"from each vertex to its marker (dotted: {SIGMAS:g} standard deviations)"
-    legend_below(figure, columns=2, title=title)
+    legend_below(figure, columns=2, caption=title)
     return figure

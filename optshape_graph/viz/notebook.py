@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from optshape_graph.calibration.camera import CameraCalibration
 from optshape_graph.calibration.mocap import MocapCalibration
 from optshape_graph.calibration.rig import RigCalibration
+from optshape_graph.calibration.sensor import SensorCalibration
 from optshape_graph.detection import Detections
 from optshape_graph.errors import MissingExtraError
 from optshape_graph.evaluation import Table, summarise
@@ -21,6 +22,7 @@ from optshape_graph.viz.mocap import plot_calibration_errors
 from optshape_graph.viz.pose import plot_edge_labels, plot_vertices
 from optshape_graph.viz.rig import plot_rig
 from optshape_graph.viz.scan import plot_found
+from optshape_graph.viz.sensor import plot_ring_residuals
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,6 +61,8 @@ def _figure(result: object) -> Figure | None:
             return plot_found(result)
         case MocapCalibration():
             return plot_calibration_errors(result)
+        case SensorCalibration():
+            return plot_ring_residuals(result)
         case CameraCalibration():
             return plot_view_errors(result)
         case RigCalibration():

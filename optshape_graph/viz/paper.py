@@ -80,9 +80,11 @@ def panels(target: Target, distances: Sequence[float], level: int, lost: float, 
             panel.plot(-points[:, 1], points[:, 2], ".", color=GREY, ms=3, label="returns")
             outline(panel, target.polygon * [-1, 1], BLUE, lw=1.0, label="truth")
             panel.set_title(f"{distance:g} m, {name}: {_fitted(panel, target, scan, truth)}", fontsize=9)
-    legend_below(figure, axes[0, 0])
-    figure.supxlabel("to the right, as the LiDAR sees it (m)")
-    figure.supylabel("up (m)")
+    for panel in axes[-1]:
+        panel.set_xlabel("to the right (m)")
+    for panel in axes[:, 0]:
+        panel.set_ylabel("up (m)")
+    legend_below(figure, axes[0, 0], caption="As the LiDAR sees the target, in the true target's frame.")
     return figure
 
 

@@ -40,6 +40,9 @@ if TYPE_CHECKING:
 SIGMAS = 3.0
 """Standard deviations that ellipses enclose."""
 
+INSETS = "A ring's last return is inside the true edge, by up to one azimuth step along the ring."
+"""Said below pictures of ring ends."""
+
 FRONT_TO_SIDE = 2.2
 """Width of the front to that of the side."""
 
@@ -94,7 +97,7 @@ def plot_fit(scan: Scan, estimate: PoseEstimate) -> Figure:
     side.set(xlim=(-reach, reach), xlabel="distance behind the plane (mm)")
     side.set_title(f"side, stretched\n{1e3 * estimate.plane_rms:.1f} mm rms from the plane", fontsize=11)
     figure.suptitle(_title(scan, estimate))
-    legend_below(figure, front)
+    legend_below(figure, front, caption=f"{INSETS} So edge points lie a little inside the template.")
     return figure
 
 
@@ -126,8 +129,8 @@ def plot_edge_labels(estimate: PoseEstimate, name: str = "") -> Figure:
         for a, b in zip(near[mine], far[mine], strict=True):
             axes.plot([a[0], b[0]], [a[1], b[1]], color=colour(k), lw=1.0, alpha=0.7)
     _name_vertices(axes, target)
-    axes.set_title(f"{_colon(name)}{len(points)} edge points, and the part of the ring in which the edge lies (lines)")
-    legend_below(figure, axes)
+    axes.set_title(f"{_colon(name)}{len(points)} edge points, and where along the ring the edge is (lines)")
+    legend_below(figure, axes, caption=f"{INSETS} The line of each point is that step.")
     return figure
 
 
@@ -149,7 +152,8 @@ def plot_residuals(scan: Scan, estimate: PoseEstimate) -> Figure:
     if ends:
         _edge_residuals(panels[0], estimate)
     _plane_residuals(panels[-1], scan, estimate)
-    legend_below(figure, *panels, columns=7)
+    said = f"{INSETS}\nSo most are negative; what all have in common depends on beam and surface."
+    legend_below(figure, *panels, columns=7, caption=said if ends else None)
     figure.suptitle(_title(scan, estimate))
     return figure
 
@@ -188,7 +192,7 @@ def plot_vertices(estimate: PoseEstimate, name: str = "") -> Figure:
     side.set(xlim=(-reach, reach), xlabel="distance behind the plane (m)", title="side")
     large = "" if factor == 1 else f", drawn {factor:g} times too large"
     figure.suptitle(f"{_colon(name)}vertices, ellipses of {SIGMAS:g} standard deviations{large}")
-    legend_below(figure, front, title="vertex: largest standard deviation in the plane, and across it")
+    legend_below(figure, front, caption="vertex: largest standard deviation in the plane, and across it")
     return figure
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import base64
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.evaluation.verdicts import Verdict, kind_of, verdict_of
 from optshape_graph.io.files import write_atomically
 from optshape_graph.names import markup
+from optshape_graph.viz.report_tables import Table, tables_of
 from optshape_graph.viz.style import BLUE, GREY, INK, PALE, VERMILLION
 
 MOST_ROWS = 200
@@ -29,6 +29,20 @@ MOST_PICTURES = 60
 
 KINDS = {".svg": "svg+xml", ".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
 """Pictures that a browser shows, by ending; others stay beside the report."""
+
+CAPTIONS = {
+    "fit": "returns, ends of rings, and the fitted template. Ends lie inside the edge, by up to one azimuth step.",
+    "edges": "which edge each end of a ring was taken for; a line is where along the ring that edge may be.",
+    "residuals": "distances of ring ends from their edges, with one standard deviation, and of returns from the plane.",
+    "vertices": "ellipses of three standard deviations of each vertex.",
+    "runner_up": "the pose, and the different one that explains the returns nearly as well.",
+    "errors": "errors of every scan or view; means are dashed.",
+    "placements": "where the target stood, seen from above.",
+    "markers": "where each marker is from its vertex.",
+    "map": "landmarks, the way each faces, and ellipses of three standard deviations, seen from above.",
+    "scan": "the full scan, as the LiDAR sees it and from above, with the targets' outlines.",
+}
+"""What pictures show, by how their names end."""
 
 LEVELS = {"Good": "#009e73", "Usable with care": "#b07800", "Not usable": "#c03020"}
 
@@ -44,23 +58,10 @@ td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space:
 figure { margin: 1em 0; break-inside: avoid } img, svg { max-width: 100%; max-height: 22cm }
 figcaption, footer { color: #555; font-size: .85em } footer { margin-top: 2em }
 pre { background: #f6f6f6; padding: .6em; white-space: pre-wrap; overflow-wrap: anywhere }
-@page { size: A4; margin: 15mm } @media print { body { margin: 0; max-width: none; font-size: 10.5pt } }
+@page { size: A4; margin: 15mm }
+@media print { body { margin: 0; max-width: none; font-size: 10.5pt } img, svg { max-height: 11cm }
+  pre { margin-bottom: .3em } footer { margin-top: .3em; break-before: avoid } }
 """
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of a report.
-
-    Attributes:
-        title: above it.
-        columns: their headings, with units.
-        rows: cells; numbers are set flush right.
-    """
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
 
 
 def write_report(
@@ -101,7 +102,7 @@ def html_of(document: Mapping[str, Any], verdict: Verdict, pictures: Sequence[st
         parts.append(_figure(plan_view(places), "Seen from above: where the targets stood. Circles: range, m."))
     shown = [Path(picture) for picture in pictures if Path(picture).suffix.lower() in KINDS]
     for picture in shown[:MOST_PICTURES]:
-        parts.append(_figure(_embedded(picture), picture.stem.replace("_", " ")))
+        parts.append(_figure(_embedded(picture), caption_of(picture.stem)))
     if len(pictures) > len(shown[:MOST_PICTURES]):
         parts.append(f"<p>{len(pictures) - len(shown[:MOST_PICTURES])} more pictures are beside the result.</p>")
     if command:
@@ -118,70 +119,13 @@ def html_of(document: Mapping[str, Any], verdict: Verdict, pictures: Sequence[st
     )
 
 
-def tables_of(document: Mapping[str, Any]) -> list[Table]:
-    """Return the numbers of a result as tables."""
-    kind = kind_of(document)
-    if kind == "estimate":
-        return [_poses("Scans", document["scans"], "scan")]
-    if kind == "detect":
-        found = [{**target, "scan": scan["scan"]} for scan in document["scans"] for target in scan.get("targets", ())]
-        return [_poses("Targets found", found, "scan")]
-    if kind == "map":
-        rows = [{**one, "T_lidar_target": one["T_world_target"], "status": ""} for one in document["landmarks"]]
-        return [_poses("Landmarks", rows, "id")]
-    if kind == "mocap":
-        return [_mocap_scans(document), _transform("T_lidar_mocap", document["T_lidar_mocap"], document["covariance"])]
-    if kind == "camera-calibration":
-        return [
-            _camera_views(document),
-            _transform("T_camera_lidar", document["T_camera_lidar"], document["covariance"]),
-        ]
-    if kind == "rig":
-        pairs = document["transforms"]
-        named = [_transform(f"T_{one['a']}_{one['b']}", one["T_a_b"], one["covariance"]) for one in pairs]
-        return [_rig_sightings(document), *named]
-    return [_sizes(document)]
-
-
-def _rig_sightings(document: Mapping[str, Any]) -> Table:
-    rows = [
-        (
-            one["sensor"], one["target"], one["file"], "yes" if one["used"] else "no",
-            "" if one["centre_error_m"] is None else _mm(one["centre_error_m"]), _number(one["turn_error_deg"]),
-            one["reason"],
-        )
-        for one in document["sightings"]
-    ]  # fmt: skip
-    columns = ("sensor", "target", "file", "used", "centre mm", "turn deg", "why not")
-    return Table("Sightings, each placement predicted by the others", columns, tuple(rows))
-
-
-def _mocap_scans(document: Mapping[str, Any]) -> Table:
-    rows = [(one["scan"], _mm(one["rmse_m"]), _mm(one["e_t_m"]), f"{one['e_r_deg']:.2f}") for one in document["scans"]]
-    return Table("Scans, each in a frame fitted to the others", ("scan", "RMSE mm", "e_t mm", "e_r deg"), tuple(rows))
-
-
-def _camera_views(document: Mapping[str, Any]) -> Table:
-    keys = ("centre_error_mm", "plane_offset_mm", "normal_error_deg", "reprojection_px")
-    rows = [
-        (view["scan"], "yes" if view["used"] else "no", *(_number(view[key]) for key in keys), view["reason"])
-        for view in document["views"]
-    ]
-    columns = ("view", "used", "centre mm", "plane mm", "normal deg", "vertices px", "why not")
-    return Table("Views, each predicted by the others", columns, tuple(rows))
-
-
-def _sizes(document: Mapping[str, Any]) -> Table:
-    rows = [
-        (
-            f"{one['area_m2']:.3f}", f"{one['bound_e_r_95_deg']:.2f}", _number(one["e_r_95_deg"]),
-            _mm(one["bound_e_t_95_m"]), "" if one["e_t_95_m"] is None else _mm(one["e_t_95_m"]),
-            f"{one['ok']} / {one['ambiguous']} / {one['failed']}", "yes" if one["does_it"] else "no",
-        )
-        for one in [document["chosen"], *document["smaller"]]
-    ]  # fmt: skip
-    columns = ("area m²", "bound deg", "e_r deg", "bound mm", "e_t mm", "ok / ambiguous / failed", "does it")
-    return Table("Sizes, 95 of 100 scans", columns, tuple(rows))
+def caption_of(stem: str) -> str:
+    """Return what a picture shows, by the end of its name: of which scan, and how it is to be read."""
+    for kind, text in CAPTIONS.items():
+        if stem == kind or stem.endswith(f"_{kind}"):
+            of = stem[: -len(kind)].rstrip("_")
+            return f"{of}: {text}" if of else text[0].upper() + text[1:]
+    return stem.replace("_", " ")
 
 
 def plan_view(places: Floats) -> str:
@@ -200,15 +144,22 @@ def plan_view(places: Floats) -> str:
     parts = []
     for k in range(1, int(reach / step) + 1):
         parts.append(f'<circle cx="{cx:.1f}" cy="{cy:.1f}" r="{k * step * scale:.1f}" fill="none" stroke="{PALE}"/>')
-        parts.append(f'<text x="{cx + k * step * scale + 3:.1f}" y="{cy - 3:.1f}" fill="{GREY}">{k * step:g}</text>')
+        parts.append(f'<text x="{cx + k * step * scale + 3:.1f}" y="{cy + 14:.1f}" fill="{GREY}">{k * step:g}</text>')
     parts.append(
         f'<circle cx="{cx:.1f}" cy="{cy:.1f}" r="5" fill="{INK}"/><text x="{cx + 8:.1f}" y="{cy + 16:.1f}">LiDAR</text>'
     )
+    named: list[tuple[float, float, list[str]]] = []  # places so near to each other that they share their names' place
     for number, (x, y, _) in enumerate(places, 1):
         px, py = at(float(x), float(y))
         parts.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="4" fill="{BLUE}"/>')
-        if len(places) <= 40:
-            parts.append(f'<text x="{px + 6:.1f}" y="{py + 4:.1f}" fill="{VERMILLION}">{number}</text>')
+        near = next((names for qx, qy, names in named if abs(qx - px) < 24 and abs(qy - py) < 14), None)
+        if near is None:
+            named.append((px, py, [str(number)]))
+        else:
+            near.append(str(number))
+    if len(places) <= 40:
+        for px, py, names in named:
+            parts.append(f'<text x="{px + 6:.1f}" y="{py - 6:.1f}" fill="{VERMILLION}">{", ".join(names)}</text>')
     return (
         f'<svg viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" height="{height:.0f}" role="img" '
         f'font-family="sans-serif" font-size="12">{"".join(parts)}</svg>'
@@ -225,32 +176,11 @@ def _places(document: Mapping[str, Any]) -> Floats:
     return np.array(found)[:, :3, 3] if found else np.zeros((0, 3))
 
 
-def _poses(title: str, entries: Sequence[Mapping[str, Any]], name: str) -> Table:
-    rows: list[tuple[str, ...]] = []
-    for number, entry in enumerate(entries, 1):
-        T, covariance = entry.get("T_lidar_target"), entry.get("covariance")
-        said = str(entry.get("reason", "") or "")
-        if T is None or covariance is None:
-            rows.append((str(number), str(entry[name]), str(entry.get("status", "")), "", "", "", "", "", said))
-            continue
-        sd = np.sqrt(np.diag(np.array(covariance)))
-        place = [f"{row[3]:.3f}" for row in T[:3]]
-        size = (_mm(sd[3:].max()), f"{np.degrees(sd[:3].max()):.2f}")
-        rows.append((str(number), str(entry[name]), str(entry.get("status", "")), *place, *size, said))
-    columns = ("no.", name, "status", "x m", "y m", "z m", "sd mm", "sd deg", "reason")
-    return Table(title, columns, tuple(rows))
-
-
-def _transform(name: str, T: Any, covariance: Any) -> Table:
-    sd = np.sqrt(np.diag(np.array(covariance)))
-    rows = [tuple(f"{value:.6f}" for value in row) for row in T]
-    note = (
-        f"sd {', '.join(f'{v:.3f}' for v in np.degrees(sd[:3]))} deg, {', '.join(f'{1e3 * v:.1f}' for v in sd[3:])} mm"
-    )
-    return Table(f"{name} ({note})", ("", " ", "  ", "   "), tuple(rows))
-
-
 def _table(table: Table) -> str:
+    filled = [k for k in range(len(table.columns)) if not table.rows or any(row[k] for row in table.rows)]
+    table = Table(
+        table.title, tuple(table.columns[k] for k in filled), tuple(tuple(row[k] for k in filled) for row in table.rows)
+    )
     numeric = [all(_is_number(row[k]) for row in table.rows) for k in range(len(table.columns))]
     classes = ['class="n"' if flag else "" for flag in numeric]
     head = "".join(f"<th {c}>{markup(text)}</th>" for c, text in zip(classes, table.columns, strict=True))
@@ -280,14 +210,6 @@ def _embedded(picture: Path) -> str:
     return f'<img alt="{markup(picture.stem)}" src="data:image/{KINDS[picture.suffix.lower()]};base64,{data}">'
 
 
-def _mm(metres: float) -> str:
-    return f"{1e3 * metres:.1f}"
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.2f}"
-
-
 TITLES = {
     "estimate": "Poses of a target",
     "detect": "Targets in full scans",
@@ -296,4 +218,6 @@ TITLES = {
     "rig": "Calibration of a rig",
     "map": "Map of targets",
     "design-choice": "Choice of a target",
+    "simulation-evaluation": "Estimates in simulation",
+    "mocap-evaluation": "Estimates beside motion capture",
 }

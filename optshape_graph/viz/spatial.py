@@ -14,7 +14,7 @@ from optshape_graph._arrays import Floats, Value
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.se3 import apply
-from optshape_graph.viz.style import COLOURS, GREY, INK
+from optshape_graph.viz.style import GREY, INK, VERMILLION, colour
 
 Colours = NDArray[np.uint8]
 
@@ -105,7 +105,7 @@ def by_range(points: Floats) -> Colours:
 
 def by_label(labels: Sequence[int]) -> Colours:
     """(N, 3) colours of points by the edge that they were taken for."""
-    return np.array([rgb(COLOURS[k % len(COLOURS)]) for k in labels], dtype=np.uint8).reshape(-1, 3)
+    return np.array([rgb(colour(int(k))) for k in labels], dtype=np.uint8).reshape(-1, 3)
 
 
 def outline(name: str, vertices: Floats, colour: str = INK, label: str = "", step: int | None = None) -> Lines:
@@ -151,7 +151,7 @@ def ellipsoid(name: str, T: Floats, covariance: Floats, step: int | None = None)
     circles = tuple(
         T[:3, 3] + np.cos(angle) * radii[:, i] + np.sin(angle) * radii[:, j] for i, j in ((0, 1), (1, 2), (2, 0))
     )
-    return Lines(name, circles, rgb(COLOURS[1]), radius=0.001, step=step)
+    return Lines(name, circles, rgb(VERMILLION), radius=0.001, step=step)
 
 
 def frustum(name: str, T_world_camera: Floats, camera: CameraIntrinsics, depth: float = 0.4) -> Lines:

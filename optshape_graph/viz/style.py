@@ -30,6 +30,9 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 FORMATS = ("png", "pdf", "svg")
 """Of pictures, by the endings of their names."""
 
+CAPTION_PT = 9.0
+"""Size of what is said below a figure."""
+
 DPI = 150
 """Of files: a figure 8 inches wide is 1200 pixels."""
 
@@ -97,16 +100,17 @@ def plain(axes: Axes, *, equal: bool = False) -> Axes:
     return axes
 
 
-def legend_below(figure: Figure, *axes: Axes, columns: int = 4, title: str | None = None) -> None:
-    """Put one legend below a figure: of some axes, or of all."""
+def legend_below(figure: Figure, *axes: Axes, columns: int = 4, caption: str | None = None) -> None:
+    """Put one legend below a figure, of some axes or of all, headed by how the figure is to be read."""
     handles, labels = [], []
     for axis in axes or figure.axes:
         found = axis.get_legend_handles_labels()
         handles += found[0]
         labels += found[1]
     figure.legend(
-        handles, labels, loc="outside lower center", ncols=min(len(labels), columns), frameon=False, title=title
-    )
+        handles, labels, loc="outside lower center", ncols=min(len(labels), columns), frameon=False, title=caption,
+        title_fontsize=CAPTION_PT,
+    )  # fmt: skip
 
 
 def literal(text: str, longest: int = 48) -> str:

@@ -10,8 +10,7 @@ from optshape_graph.calibration.mocap.session import load_mocap_scans
 from optshape_graph.errors import EstimationError
 from optshape_graph.io import load_session, load_target
 from optshape_graph.pose import estimate_pose
-from optshape_graph.pose.certificate import eliminate_translation, lower_bound
-from optshape_graph.pose.dual import closed_form_bounds
+from optshape_graph.pose.certificate import closed_form_bounds, eliminate_translation, lower_bound
 from tests.pose.clouds import errors, reference_cases, simulated
 from tests.shared import SHARED, needs_shared
 

@@ -94,7 +94,7 @@ def test_two_workers_against_one():
 
 
 SENSORS, RANGES, TILT = ("vlp32c", "vlp16", "os1-64"), (10.0, 20.0, 30.0), np.radians(50.0)
-SEED = 20270  # looked at once
+SEED = 20271  # looked at once
 TURNED = np.radians(25.0)
 
 

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from optshape_graph.detection import DetectionOptions, detect_targets
+from optshape_graph.detection import DetectionOptions, TargetTracker, detect_targets
 from optshape_graph.detection.patches import find_patches
 from optshape_graph.detection.segments import order_scan
 from optshape_graph.io import load_sensor, load_target
@@ -122,3 +122,12 @@ def test_eighty_boxes_against_none() -> None:
     none, many = (seconds(lambda scan=scan: detect_targets(scan, placed[0][0]), 5) for scan in (without, among))
     print(f"80 boxes: {many / none:.2f} x none, 3 asked")
     assert many <= 3 * none
+
+
+def test_tracker_against_whole_scans() -> None:
+    scan, placed = revolution("os1-128", 1)
+    tracker = TargetTracker(placed[0][0], everywhere_every=1000)
+    tracker.find(scan)
+    ratio = seconds(lambda: tracker.find(scan), 5) / seconds(lambda: detect_targets(scan, placed[0][0]), 5)
+    print(f"one target of 128 rings, followed: {ratio:.2f} x a search of the whole scan")
+    assert ratio < 1

@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from optshape_graph.beam import Beam
 from optshape_graph.detection import detect_targets
 from optshape_graph.edges import extract_edge_points, with_top_and_bottom
+from optshape_graph.gaussian import truncated_moments
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import PoseOptions, estimate_pose
-from optshape_graph.pose.noise import EdgeNoise
-from optshape_graph.pose.propagation import Problem, edge_geometry, truncated_moments
+from optshape_graph.pose.ends import Problem
 from optshape_graph.se3 import inverse
 from optshape_graph.simulation import NoiseModel, simulate_target
 from tests.detection.scenes import pose, scan_of
@@ -69,7 +70,7 @@ def test_told_apart(name: str) -> None:
 
 def log_likelihood(problem: Problem, T_target_lidar: np.ndarray) -> float:
     """Of the ring ends at a known pose, the offset across the edges being anything within the beam."""
-    geometry, edges = edge_geometry(problem, T_target_lidar[None]), problem.edges
+    geometry, edges = problem.geometry(T_target_lidar[None]), problem.edges
     own, along = geometry.own[0], geometry.along[0]
     step = np.maximum(edges.width, edges.azimuth_step)
     lost = edges.lower + PoseOptions.lost_span[0] * step, edges.lower + PoseOptions.lost_span[1] * step
@@ -105,7 +106,7 @@ def test_as_much_as_with_the_pose_known(name: str, distance: float) -> None:
             T = drawn(rng, distance)
             scan = simulate_target(true, sensor, T, noise=NoiseModel.of(sensor), rng=rng)
             edges = with_top_and_bottom(extract_edge_points(scan), scan)
-            problem = Problem(edges, true, np.zeros((13, 13)), EdgeNoise.of(sensor))
+            problem = Problem(edges, true, np.zeros((13, 13)), Beam.of(sensor), PoseOptions())
             known.append(
                 log_likelihood(problem, inverse(T))
                 - log_likelihood(replace(problem, target=other), T_other_true @ inverse(T))

@@ -28,6 +28,8 @@ class Receiver:
         range_noise: standard deviation of one range, metres.
         ring_bias: standard deviation of a ring's range bias, metres.
         mixed: probability that a beam split between target and wall is reported between them.
+        brightness: range bias of all returns of the target, metres: early or late pulses.
+        glow: share of a beam's energy in a halo around it, four times as wide: what makes bright targets bloom.
     """
 
     threshold: float = 0.5
@@ -37,6 +39,8 @@ class Receiver:
     range_noise: float = 0.0
     ring_bias: float = 0.0
     mixed: float = 0.0
+    brightness: float = 0.0
+    glow: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -110,22 +114,28 @@ def cast(
     left = np.column_stack([-np.sin(azimuth), np.cos(azimuth), np.zeros(len(azimuth))])
     up = np.cross(axis, left)
     across = disc()[None, :, :1] * left[:, None] + disc()[None, :, 1:] * up[:, None]  # (N, K, 3)
-    origin = 0.5 * sensor.beam_aperture * across
-    direction = axis[:, None] + 0.5 * sensor.beam_divergence * across
 
-    R, t = T_lidar_target[:3, :3], T_lidar_target[:3, 3]
+    def meet(width: float) -> tuple[np.ndarray, np.ndarray]:
+        """(N,) share of the sub-rays of beams so many times as wide that meet the target, and their mean range."""
+        origin = 0.5 * sensor.beam_aperture * across
+        direction = axis[:, None] + 0.5 * width * sensor.beam_divergence * across
+        reach = ((t - origin) @ normal) / (direction @ normal)
+        met = (origin + reach[..., None] * direction - t) @ R[:, 1:]
+        on = reach > 0
+        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            on &= (b[0] - a[0]) * (met[..., 1] - a[1]) - (b[1] - a[1]) * (met[..., 0] - a[0]) >= 0
+        ranges = np.where(on.any(axis=1), (reach * on).sum(axis=1) / np.maximum(on.sum(axis=1), 1), np.inf)
+        return on.mean(axis=1), ranges
+
+    R, t, corners = T_lidar_target[:3, :3], T_lidar_target[:3, 3], target.polygon
     normal = R[:, 0]
-    reach = ((t - origin) @ normal) / (direction @ normal)
-    met = (origin + reach[..., None] * direction - t) @ R[:, 1:]
-    on = np.ones(met.shape[:2], dtype=bool)
-    corners = target.polygon
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        on &= (b[0] - a[0]) * (met[..., 1] - a[1]) - (b[1] - a[1]) * (met[..., 0] - a[0]) >= 0
-    on &= reach > 0
     full = np.abs(axis @ normal) / np.linalg.norm(t) ** 2
-    share = on.mean(axis=1)
-    at_target = np.where(on.any(axis=1), (reach * on).sum(axis=1) / np.maximum(on.sum(axis=1), 1), np.inf)
+    share, at_target = meet(1.0)
     energy = share  # of a beam wholly on the target
+    if receiver.glow > 0:
+        around, at_rim = meet(4.0)
+        energy = (1 - receiver.glow) * share + receiver.glow * around
+        at_target = np.where(share > 0, at_target, at_rim)
     far, beyond = np.full(len(ring), np.inf), np.zeros(len(ring))
     if wall is not None:
         bearing = t / np.linalg.norm(t)
@@ -144,7 +154,7 @@ def cast(
     kept = np.flatnonzero(wins | behind)
     ring, ranges = ring[kept], ranges[kept]
     bias = receiver.ring_bias * rng.normal(size=sensor.n_rings)
-    ranges = ranges + bias[ring] + receiver.range_noise * rng.normal(size=len(ring))
+    ranges = ranges + bias[ring] + receiver.brightness * wins[kept] + receiver.range_noise * rng.normal(size=len(ring))
     reported = azimuth[kept] + receiver.azimuth_jitter * rng.normal(size=len(ring))
     points = ranges[:, None] * np.column_stack(_unit(reported, elevation[kept]))
     return Scan(points, ring, sensor=sensor, name="cast"), wins[kept]

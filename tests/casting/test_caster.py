@@ -82,6 +82,29 @@ def test_noise_is_what_the_receiver_says():
     assert means.std() > 0.005
 
 
+def test_a_bright_target_blooms():
+    """A tenth of the energy in a halo, and a threshold of a hundredth: returns lie up to two beam widths outside."""
+    sensor = replace(SENSOR, azimuth_step=np.radians(0.005), beam_aperture=0.0)
+    square, rng = load_target("square"), np.random.default_rng(0)
+    reach = []
+    for glow in (0.0, 0.1):
+        scan, _ = cast(square, sensor, FACE_ON, Receiver(0.01, threshold_noise=0.0, glow=glow), rng)
+        middle = np.abs(scan.points[:, 2]) < 0.3
+        reach.append((np.ptp(scan.points[middle, 1]) / 2 - 0.5) / (10 * sensor.beam_divergence))
+    assert 0.3 < reach[0] < 0.5
+    assert 1.0 < reach[1] < 2.0
+
+
+def test_brightness_moves_the_target_alone():
+    square, wall = load_target("square"), Wall(2.0)
+    (dark, own), (plain, same) = (
+        cast(square, SENSOR, FACE_ON, Receiver(brightness=b), np.random.default_rng(0), wall) for b in (0.02, 0.0)
+    )
+    assert np.array_equal(own, same)
+    off = np.linalg.norm(dark.points, axis=1) - np.linalg.norm(plain.points, axis=1)
+    assert np.allclose(off, 0.02 * own, atol=1e-12)
+
+
 def test_firing_orders():
     """Every slot of the VLP-16 once; pairs on the VLP-32C; four columns of an OS1."""
     assert np.allclose(np.sort(firing_phases(load_sensor("vlp16"))), np.arange(16) / 24)

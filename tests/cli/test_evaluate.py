@@ -86,7 +86,7 @@ def test_paper_makes_every_figure_and_prints_its_tables(tmp_path):
     result = CliRunner().invoke(command, arguments, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     numbers = {path.stem.split("-")[1] for path in tmp_path.glob("figure-*.svg")}
-    assert numbers == {"3", "4", "5", "7", "8", "9", "13", "14"}
+    assert numbers == {"3", "4", "5", "7", "8", "9", "10", "13", "14"}
     assert (tmp_path / "table1.csv").read_text().count("\n") == 14  # thirteen rows and the head
     assert "0.47" in result.output  # the paper's worst row
     assert "figure 11 and 12: not made" in result.output

@@ -22,8 +22,12 @@ def files(tmp_path):
 def test_maps_become_one(files):
     folder, maps = files
     names = [str(folder / f"{k}.json") for k in range(3)]
-    result = CliRunner().invoke(cli, ["merge", *names, "--json", str(folder / "all.json")])
+    result = CliRunner().invoke(
+        cli, ["merge", *names, "--json", str(folder / "all.json"), "--report", str(folder / "all.html")]
+    )
     assert result.exit_code == 0, result.output
+    assert "Good: 6 landmarks, known to" in result.output
+    assert "6 landmarks, known to" in (folder / "all.html").read_text()
     assert "6 landmarks, 3 sessions" in result.output
     found = load_map(folder / "all.json")
     assert [landmark.id for landmark in found.landmarks] == list("abcdef")

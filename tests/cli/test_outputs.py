@@ -49,8 +49,8 @@ RUNS: dict[str, tuple[str, set[str]]] = {
     "merge": ("merge {one} {two} --json {out}/a.json", {"map"}),
     "report": ("report {one} -o {out}/a.html", set()),
     "evaluate simulation": (
-        "evaluate simulation --distance 4 --rpy 0 0 0 --noise 0 --seeds 1 --method global -o {out}",
-        {"sweep", "sweep-task"},
+        "evaluate simulation --distance 4 --rpy 0 0 0 --noise 0 --seeds 1 --method global -o {out} --json {out}/a.json",
+        {"sweep", "sweep-task", "simulation-evaluation"},
     ),
     "evaluate mocap": ("evaluate mocap {demo} --json {out}/a.json -o {out}/tables", {"mocap-evaluation"}),
     "demo": ("demo -o {out}", {"mocap"}),

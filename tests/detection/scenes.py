@@ -1,5 +1,7 @@
 """Full scans with known truth."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from optshape_graph import SensorModel, Target
@@ -23,6 +25,11 @@ def scan_of(
     """One revolution in the hall, with the noise that the sensor's model says."""
     scene = Scene(tuple(Patch(target, T) for target, T in targets), (HALL, *things))
     return simulate(scene, sensor, noise=NoiseModel.of(sensor), rng=seed)
+
+
+def plain(sensor: SensorModel) -> SensorModel:
+    """A sensor to which all surfaces are equally bright and every ring end is what it seems, or nearly."""
+    return replace(sensor, brightness_bias=0.0, blooming=0.0, odd_ends=1e-9)
 
 
 def shares(found: Detection, simulated: SimulatedScan, k: int = 0) -> tuple[float, float]:

@@ -50,3 +50,17 @@ def test_what_came_nearest_is_listed_first() -> None:
     face = Box(np.array([0.6, 1.0, 1.0]), pose(6, 0, -1.3))
     rejected = detect_targets(scan_of(VLP32C, [], face).scan, PAPER).rejected
     assert [one.passed for one in rejected] == sorted((one.passed for one in rejected), reverse=True)
+
+
+@pytest.mark.benchmark
+def test_of_300_rooms_at_most_one_is_named_ok() -> None:
+    """20 boxes, tables, columns, signs and people in each, and no target."""
+    named = []
+    for seed in range(300):
+        rng = np.random.default_rng([73109, seed])
+        sensor = load_sensor(["vlp16", "vlp32c", "os1-64", "os0-64"][seed % 4])
+        found = named_ok(scan_room(furnished_room(rng), sensor, rng), PAPER)
+        named += [(seed, one) for one in found]
+        print(seed, found) if found else None
+    print(f"named ok: {len(named)} of 300 rooms")
+    assert len(named) <= 1

@@ -10,7 +10,7 @@ from optshape_graph.detection import DetectionOptions
 from optshape_graph.detection.candidates import Size, without_limbs
 from optshape_graph.detection.segments import order_scan
 from optshape_graph.io import load_sensor, load_target
-from optshape_graph.pose.association import fit_plane
+from optshape_graph.plane import fit_plane
 from optshape_graph.simulation import Box, NoiseModel, Patch, Scene, simulate, simulate_target
 from tests.detection.scenes import BOARD, pose
 

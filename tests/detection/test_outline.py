@@ -10,7 +10,7 @@ from optshape_graph.detection.outline import Boundary, first_look, look_again, r
 from optshape_graph.detection.patches import find_patches
 from optshape_graph.detection.segments import OrderedScan, order_scan
 from optshape_graph.io import load_sensor, load_target
-from tests.detection.scenes import pose, scan_of
+from tests.detection.scenes import plain, pose, scan_of
 
 VLP32C = load_sensor("vlp32c")
 PAPER, SQUARE, TRIANGLE = (load_target(f"{name}@1") for name in ("paper", "square", "triangle"))
@@ -21,7 +21,7 @@ def rolled(degrees: float) -> np.ndarray:
 
 
 def surface(target: Target, T: np.ndarray, seed: int):
-    ordered = order_scan(scan_of(VLP32C, [(target, T)], seed=seed).scan, DetectionOptions())
+    ordered = order_scan(scan_of(plain(VLP32C), [(target, T)], seed=seed).scan, DetectionOptions())
     size = Size.of(target)
     (patch,) = (p for p in find_patches(ordered, 0.2 * size.width, 1.1 * size.diameter) if p.n_rings > 8)
     candidate = grow(ordered, patch, 1.5 * size.diameter)

@@ -10,7 +10,7 @@ from optshape_graph.detection import DetectionOptions
 from optshape_graph.detection.segments import Borders, find_borders, order_scan
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.simulation import Box, Patch, Surface
-from tests.detection.scenes import BOARD, pose, scan_of
+from tests.detection.scenes import BOARD, plain, pose, scan_of
 
 VLP32C, SQUARE = load_sensor("vlp32c"), load_target("square@1")
 OPTIONS = DetectionOptions()
@@ -55,7 +55,7 @@ def test_lost_returns(lost: int, segments: int) -> None:
 
 
 def test_every_return_is_in_one_segment() -> None:
-    simulated = scan_of(VLP32C, [(BOARD, pose(4, 1, 0))])
+    simulated = scan_of(plain(VLP32C), [(BOARD, pose(4, 1, 0))])
     found = order_scan(simulated.scan, OPTIONS)
     np.testing.assert_array_equal(np.sort(found.index), np.arange(len(simulated.scan)))
     np.testing.assert_array_equal(found.points, simulated.scan.points[found.index])
@@ -64,7 +64,7 @@ def test_every_return_is_in_one_segment() -> None:
 
 
 def test_an_unknown_sensor_is_looked_at() -> None:
-    scan = scan_of(VLP32C, [(BOARD, pose(4, 1, 0))]).scan
+    scan = scan_of(plain(VLP32C), [(BOARD, pose(4, 1, 0))]).scan
     found = order_scan(Scan(scan.points, ring=scan.ring), OPTIONS)
     assert found.resolution.step == pytest.approx(np.radians(0.2), rel=0.01)
     np.testing.assert_allclose(found.elevations, VLP32C.elevations, atol=1e-6)
@@ -92,7 +92,7 @@ def test_near_finds_what_a_look_at_every_return_would(seed: int, reach: float) -
 
 
 def ends_of_panel(*things: Surface) -> Borders:
-    simulated = scan_of(VLP32C, [(SQUARE, pose(6, 0, 0))], *things)
+    simulated = scan_of(plain(VLP32C), [(SQUARE, pose(6, 0, 0))], *things)
     ordered = order_scan(simulated.scan, OPTIONS)
     return find_borders(ordered, np.flatnonzero(simulated.surface[ordered.index] == 0))
 

@@ -95,7 +95,7 @@ class _Module:
                     if isinstance(member, ast.FunctionDef) and not member.name.startswith("_"):
                         yield f"{node.name}.{member.name}", member
                     elif _is_field(member):
-                        yield f"{node.name}.{member.target.id}", member  # type: ignore[attr-defined]
+                        yield f"{node.name}.{member.target.id}", member
 
     def problems(self) -> Iterator[Problem]:
         if not ast.get_docstring(self.tree):
@@ -112,8 +112,8 @@ class _Module:
             yield Problem(where, "the class has no docstring")
         entries = _entries(doc, "Attributes")
         for field in filter(_is_field, node.body):
-            name = field.target.id  # type: ignore[attr-defined]
-            kind = ast.unparse(field.annotation)  # type: ignore[attr-defined]
+            name = field.target.id
+            kind = ast.unparse(field.annotation)
             if name not in entries:
                 yield Problem(where, f"field {name} is not under Attributes")
             else:

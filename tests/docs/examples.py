@@ -62,7 +62,7 @@ def _drive() -> tuple[list[tuple[float, optshape_graph.Scan]], Trajectory]:
         (load_target("triangle"), pose_from_rpy([7.0, -3.5, 0.1], [0.0, 0.0, -0.5])),
     ]
     scene = room(targets)
-    at = lambda t: pose_from_rpy([2.0 * t, 0.0, 0.0], [0.0, 0.0, 0.1 * t])  # noqa: E731
+    at = lambda t: pose_from_rpy([2.0 * t, 0.0, 0.0], [0.0, 0.0, 0.1 * t])  # noqa: E731 - one line of a page
     scans = [
         (stamp, simulate(scene, sensor, at(stamp), noise=NoiseModel.of(sensor), rng=k).scan)
         for k, stamp in enumerate(0.4 * np.arange(4))
@@ -82,6 +82,24 @@ def _clouds(folder: Path) -> None:
         write_scan(folder / "clouds" / f"{k:04}.pcd", scan)
     (folder / "clouds" / "timestamps.txt").write_text("".join(f"{stamp:.6f}\n" for stamp, _ in scans))
     write_tum(folder / "odometry.tum", trajectory)
+
+
+def _two_lidars(folder: Path) -> None:
+    """The same drive by a robot with two LiDARs, a folder of clouds for each."""
+    _, trajectory = _drive()
+    targets = [(load_target("paper"), pose_from_rpy([8.0, 1.0, 0.2], [0.0, 0.0, 0.3]))]
+    for name, model, mounted in (
+        ("front", "vlp32c", pose_from_rpy([0.4, 0.1, 0.3], [0.0, 0.0, np.radians(11.0)])),
+        ("rear", "vlp16", pose_from_rpy([-0.5, 0.0, 0.1], [0.0, 0.0, np.radians(174.0)])),
+    ):
+        sensor, stamps = load_sensor(model), 0.4 * np.arange(3)
+        (folder / "robot" / name).mkdir(parents=True)
+        for k, stamp in enumerate(stamps):
+            at = pose_from_rpy([2.0 * stamp, 0.0, 0.0], [0.0, 0.0, 0.1 * stamp])
+            scan = simulate(room(targets), sensor, at @ mounted, noise=NoiseModel.of(sensor), rng=k).scan
+            write_scan(folder / "robot" / name / f"{k}.pcd", scan)
+        (folder / "robot" / name / "timestamps.txt").write_text("".join(f"{stamp:.6f}\n" for stamp in stamps))
+    write_tum(folder / "robot" / "odometry.tum", trajectory)
 
 
 def _bag(folder: Path) -> None:
@@ -122,6 +140,7 @@ EXAMPLES: dict[str, Callable[[Path], None]] = {
     "revolution.pcd": _revolution,
     "odometry.tum": _clouds,
     "drive.bag": _bag,
+    "map robot": _two_lidars,
     "camera/session.yaml": _camera_session,
     "shape.yaml": _shape,
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,12 +17,17 @@ from tests.docs.snippets import ROOT
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("site")
-    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
-    result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
-    return folder
+    """The site, built in a folder of its own: the generator builds where its file is."""
+    folder = tmp_path_factory.mktemp("docs")
+    shutil.copytree(ROOT / "docs", folder / "docs")
+    shutil.copy(ROOT / "zensical.toml", folder)
+    for name in ("README.md", "optshape_graph"):
+        (folder / name).symlink_to(ROOT / name)
+    environment = os.environ | {"PYTHONPATH": f"{ROOT / 'docs'}{os.pathsep}{ROOT}"}
+    command = [sys.executable, "-m", "zensical", "build", "--strict"]
+    result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout[-3000:] + result.stderr[-3000:]
+    return folder / "build" / "site"
 
 
 def test_nothing_is_fetched_from_elsewhere(site: Path) -> None:
@@ -39,3 +45,11 @@ def test_every_layer_is_in_the_reference(site: Path) -> None:
 def test_every_command_is_documented(site: Path) -> None:
     page = (site / "commands.html").read_text()
     assert [name for name in COMMANDS if f"optshape {name} " not in page] == []
+
+
+def test_search_needs_no_server(site: Path) -> None:
+    """Its index is a script, which pages of files may load; and a worker of our own stands for the browser's."""
+    assert (site / "search.js").read_text().startswith("var __index")
+    page = (site / "guides" / "cpp.html").read_text()
+    assert '<script src="../assets/iframe-worker.js">' in page
+    assert (site / "assets" / "iframe-worker.js").is_file()

@@ -78,3 +78,30 @@ def test_what_pages_name_exists(page: Path) -> None:
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]+", text)) <= options()
     for name in re.findall(r"`(?:notebooks/)?(\d\d_\w+\.ipynb)`", text):
         assert (ROOT / "notebooks" / name).is_file(), name
+
+
+def test_messages_of_troubleshooting_are_those_of_the_package() -> None:
+    text = "".join(path.read_text() for path in sorted((ROOT / "optshape_graph").rglob("*.py")))
+    said = re.sub(r'"\s*\n\s*f?"', "", text)  # strings over several lines
+    page = (ROOT / "docs" / "guides" / "troubleshooting.md").read_text()
+    quoted = [part for row in re.findall(r"^\| (`.*?) \|", page, re.MULTILINE) for part in re.findall(r"`(.+?)`", row)]
+    assert len(quoted) > 40
+    assert [message for message in quoted for part in message.split("…") if part.strip() not in said] == []
+
+
+def test_every_figure_and_table_of_the_paper_has_a_row() -> None:
+    page = (ROOT / "docs" / "paper.md").read_text()
+    rows = re.findall(r"^\| (Figures?|Table) ([^,|]+)", page, re.MULTILINE)
+    numbers = {int(n) for kind, text in rows if kind.startswith("Figure") for n in re.findall(r"\d+", text)}
+    assert numbers == set(range(1, 15))
+    assert {text.strip() for kind, text in rows if kind == "Table"} == {"I", "II"}
+
+
+def test_from_nothing_to_the_first_pose_of_an_own_target_are_ten_commands_at_most() -> None:
+    """They run in `test_blocks_run_as_printed`, but for those that set up the system."""
+    page = ROOT / "docs" / "guides" / "first-target.md"
+    lines = "\n".join(block.text for block in blocks(page) if block.language == "sh").replace("\\\n", " ").splitlines()
+    commands = [line for line in lines if line.strip()]
+    assert len(commands) <= 10
+    assert commands[0].startswith("git clone")
+    assert commands[-1].startswith("optshape estimate first.pcd --target built.yaml")

@@ -6,8 +6,12 @@ import os
 import shutil
 from pathlib import Path
 
+import numpy as np
+
 from optshape_graph import estimate_pose
 from optshape_graph.io import demo_folder, load_sensor, load_target, read_scan, write_scan
+from optshape_graph.io.trajectories import Trajectory
+from optshape_graph.mapping import Landmark, Map, save_map
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, room, simulate
 from tests.fuzz.readers import SCENE
 
@@ -33,6 +37,13 @@ def make_inputs(folder: Path) -> None:
     for k in range(2):
         shutil.copy(folder / "room.pcd", folder / "clouds" / f"{k}.pcd")
     (folder / "clouds" / "timestamps.txt").write_text("0.0\n0.1\n")
+    landmarks = tuple(
+        Landmark(f"L{k}", load_target("square@1"), pose_from_rpy([4, k, 0], [0, 0, 0.1 * k]), 1e-4 * np.eye(6), 3)
+        for k in range(3)
+    )
+    for name in ("map", "other"):
+        drive = Trajectory(np.tile(np.eye(4), (2, 1, 1)), np.array([0.0, 1.0]), name)
+        save_map(folder / f"{name}.json", Map(landmarks, 1e-4 * np.eye(18), {name: drive}))
     (folder / "list.txt").write_text("4m.pcd\n8m.pcd\n")
     estimate_pose(read_scan(folder / "8m.pcd", load_sensor("vlp32c")), load_target("built")).save(
         folder / "result.json"

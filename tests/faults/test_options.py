@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import shutil
 import zlib
@@ -12,6 +13,7 @@ import click
 import pytest
 
 from optshape_graph.cli.main import cli
+from optshape_graph.cli.options import Number
 from tests.faults.harness import MANY, changed, problem_of, run, snapshot
 from tests.faults.inputs import HOSTILE, make_bad, make_inputs
 
@@ -25,6 +27,9 @@ RUNS = {
     "detect": "detect room.pcd --target square@1 --sensor vlp16 --json out/a.json",
     "calibrate mocap": "calibrate mocap session.yaml --json out/a.json",
     "calibrate camera": "calibrate camera session.yaml --json out/a.json",
+    "design choose": "design choose --sensor vlp32c --range 6 --rotation 8 --translation 0.1 -o out/a.yaml",
+    "design measured": "design measured square --length 0-1=1001 --length 0-2=1415 -o out/a.yaml",
+    "design optimise-poses": "design optimise-poses --sensor vlp32c --range 8 --placements 4 --starts 1 -o out/a.yaml",
     "design optimise": "design optimise --starts 1 --sides 3 --rings 1 2 --area 0.5 -o out/a.yaml",
     "design score": "design score triangle --sensor vlp16 -o out/a.json",
     "design export": "design export square --format svg -o out/a.svg",
@@ -32,11 +37,14 @@ RUNS = {
     "simulate": "simulate --range 5 --sensor vlp16 -o out/a.pcd",
     "extract": "extract clouds --sensor vlp16 --target square@1 -o out/cut",
     "map": "map clouds --targets square@1 --sensor vlp16 --json out/a.json",
+    "merge": "merge map.json other.json --json out/a.json",
     "evaluate simulation": "evaluate simulation --distance 4 --rpy 0 0 0 --noise 0 --seeds 1 --method global -o out/e",
     "evaluate mocap": "evaluate mocap . -o out/e",
+    "evaluate paper": "evaluate paper --draws 1 -o out/e",
     "view": "view 4m.pcd --save out/a.rrd",
     "demo": "demo -o out/demo",
     "doctor": "doctor --json out/a.json",
+    "completion": "completion bash",
 }
 """A good run of every command, in the folder of the inputs."""
 
@@ -65,7 +73,9 @@ OUTPUTS = (
 FOLDERS = ("out/new/folder", "4m.pcd", "precious.txt", "precious.txt/a", "x" * 300, "/dev/full", "/proc/a", "")
 
 SLOW = {"calibrate mocap": 6, "calibrate camera": 6, "design study": 8, "map": 3, "evaluate mocap": 8, "demo": 8,
-        "evaluate simulation": 4, "doctor": 10}  # fmt: skip
+        "evaluate simulation": 4, "evaluate paper": 40, "design choose": 40, "design optimise": 4,
+        "design optimise-poses": 4, "doctor": 10,
+}  # fmt: skip
 """Commands whose good runs take seconds: every so manieth case of theirs is tried in `make test`."""
 
 
@@ -157,6 +167,32 @@ def test_options(name: str, world: Path) -> None:
             before = snapshot(outer)
         shutil.rmtree(world / "out", ignore_errors=True)
     assert not wrong, "\n".join([f"{len(wrong)} went wrong", *wrong])
+
+
+def leaves(group: click.Group, words: str = "") -> Iterator[str]:
+    """Names of all commands."""
+    for word in group.list_commands(click.Context(group)):
+        found = group.get_command(click.Context(group), word)
+        name = f"{words} {word}".strip()
+        if isinstance(found, click.Group):
+            yield from leaves(found, name)
+        else:
+            yield name
+
+
+def test_every_number_has_a_range() -> None:
+    for name in RUNS:
+        for parameter in leaf(name).params:
+            kind = parameter.type
+            if isinstance(kind, Number):
+                assert kind.finite or kind.least > -math.inf, (name, parameter.name)
+            elif isinstance(kind, click.types.IntParamType | click.types.FloatParamType):
+                assert isinstance(kind, click.IntRange), (name, parameter.name)
+                assert None not in (kind.min, kind.max), (name, parameter.name)
+
+
+def test_every_command_is_tried() -> None:
+    assert set(leaves(cli)) == set(RUNS)
 
 
 def test_there_are_enough() -> None:

@@ -165,7 +165,7 @@ def npz_archives(_: Path) -> list[bytes]:
     archives = []
     for save in (np.savez, np.savez_compressed):
         stream = io.BytesIO()
-        save(stream, points=scan().points, ring=scan().ring, time=scan().time)  # type: ignore[operator]
+        save(stream, points=scan().points, ring=scan().ring, time=scan().time)
         archives.append(stream.getvalue())
     return archives
 
@@ -488,7 +488,7 @@ def read_recording(path: Path) -> None:
             "camera": recording.cameras,
         }
         if topic.kind in read:
-            for item in read[topic.kind](topic.name):  # type: ignore[operator]
+            for item in read[topic.kind](topic.name):
                 if topic.kind == "image":
                     with suppress(_bad_message()):
                         item.value.pixels()

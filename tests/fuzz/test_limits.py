@@ -213,6 +213,21 @@ def test_bags_are_read_through_the_bounds(storage: str, tmp_path: Path, monkeypa
     assert "makes more than 1000 bytes" in said
 
 
+def test_rosbags_itself_stays_as_it_is() -> None:
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag1 import reader as rosbag1
+    from rosbags.rosbag2 import reader as rosbag2
+    from rosbags.rosbag2 import storage_mcap
+
+    from optshape_graph.io.recordings.decompression import bounded_readers
+
+    before = dict(rosbag1.decompressors), dict(storage_mcap.DECOMPRESSORS), dict(rosbag2.Reader.STORAGE_PLUGINS)
+    names = dict(vars(rosbag2))
+    assert rosbag1.Reader not in bounded_readers()
+    assert before == (rosbag1.decompressors, storage_mcap.DECOMPRESSORS, rosbag2.Reader.STORAGE_PLUGINS)
+    assert names == vars(rosbag2)
+
+
 def test_hostile_files_leave_nothing_behind(tmp_path: Path) -> None:
     """A file is data: reading it runs nothing and writes nothing."""
     from tests.fuzz.readers import READERS

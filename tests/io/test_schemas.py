@@ -255,7 +255,7 @@ def test_maps_and_starts_that_are_written_fit(tmp_path: Path) -> None:
             assert complaint(tmp_path / f"{name}.json") is None
     save_map(tmp_path / "empty.json", Map((), np.zeros((0, 0))))
     assert complaint(tmp_path / "empty.json") is None
-    assert readers.load_map(tmp_path / "empty.json").landmarks == ()  # type: ignore[attr-defined]
+    assert readers.load_map(tmp_path / "empty.json").landmarks == ()
 
 
 def test_a_newer_form_is_refused_by_name(tmp_path: Path) -> None:

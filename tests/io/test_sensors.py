@@ -36,6 +36,9 @@ def sensors(draw: st.DrawFn) -> SensorModel:
         azimuth_step=draw(st.none() | st.floats(1e-4, 1)),
         range_noise=draw(small),
         ring_bias=draw(small),
+        brightness_bias=draw(small),
+        blooming=draw(small),
+        odd_ends=draw(st.floats(1e-6, 0.999)),
         beam_divergence=draw(small),
         beam_aperture=draw(small),
         azimuth_offsets=draw(st.none() | st.lists(st.floats(-0.2, 0.2), min_size=n, max_size=n).map(np.array)),
@@ -52,7 +55,7 @@ def test_saved_is_loaded(tmp_path_factory: pytest.TempPathFactory, sensor: Senso
     found = load_sensor(path)
     for name in (
         "elevations", "azimuth_step", "range_noise", "ring_bias", "beam_divergence", "azimuth_offsets",
-        "range_resolution", "min_range", "max_range",
+        "range_resolution", "min_range", "max_range", "brightness_bias", "blooming", "odd_ends",
     ):  # fmt: skip
         value = getattr(sensor, name)
         if value is None:
@@ -104,6 +107,8 @@ def test_published_tables() -> None:
             r"elevations_deg\[1\]: expected a finite number above -90 and below 90, found 'low'",
         ),
         (SENSOR.replace("0.2", "0"), r"azimuth_step_deg: expected a finite number above 0 and below 180, found 0"),
+        (SENSOR + "odd_ends: 1\n", r"bad\.yaml:6: odd_ends: expected a finite number above 0 and below 1, found 1"),
+        (SENSOR + "blooming_deg: -1\n", r"bad\.yaml:6: blooming_deg: expected a finite number of at least 0, found -1"),
         (SENSOR.replace("0.01", "-0.01"), r"range_noise_m: expected a finite number of at least 0, found -0\.01"),
         (
             SENSOR.replace("0.01", "1 cm"),

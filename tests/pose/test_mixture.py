@@ -42,7 +42,7 @@ def test_of_a_gaussian(off: float) -> None:
     start = components([truth @ exp(off * SD)], 4 * covariance)
     samples = sample(gaussian(truth, covariance), start, ALONE, np.random.default_rng(0))
     assert samples.log_integral == pytest.approx(log_volume(covariance), abs=0.15)
-    assert samples.effective > 100
+    assert samples.effective > 200
     xi = difference(truth, samples.T)
     mean = samples.weight @ xi
     assert np.abs(mean / np.sqrt(np.diag(covariance))).max() < 0.3

@@ -8,9 +8,9 @@ from optshape_graph.evaluation.simulation import SimulationSweep, run_simulation
 from optshape_graph.factors.measurement import refine
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import PoseOptions, estimate_pose, modes
-from optshape_graph.pose.modes import compare_modes
-from optshape_graph.pose.noise import one_scan
-from optshape_graph.pose.rings import find_candidates, measure, sampled_measurement
+from optshape_graph.pose.evidence import measure
+from optshape_graph.pose.modes import compare_modes, find_candidates
+from optshape_graph.pose.rings import sampled_measurement
 from optshape_graph.se3 import difference, inverse, rotation_vector
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 from tests.pose.clouds import errors
@@ -44,7 +44,7 @@ def test_a_flip_is_never_ok(tmp_path) -> None:
     e_r = np.array([row["e_r_deg"] for row in rows], dtype=float)
     ok = np.array([row["status"] == "ok" for row in rows])
     assert not (ok & (e_r > 90)).any()
-    assert ok.mean() > 0.6
+    assert ok.mean() > 0.5
     assert np.mean(e_r > 90) < 0.15
 
 
@@ -60,20 +60,22 @@ def far_scan(seed: int) -> tuple[Scan, Target]:
 def test_what_was_sampled_is_what_the_measurement_says(seed: int) -> None:
     """Its minimum, within 0.05 standard deviations, and its covariance; and half a turn costs over 50.
 
-    Samples may scatter more than the returns of the plane allow, by chance: up to 25 %, in one direction.
+    Samples may scatter more than the returns of the plane allow, by chance: up to 10 %, in one direction.
     """
     scan, target = far_scan(seed)
-    measured = measure(scan, target, PoseOptions())
-    sampled = compare_modes(find_candidates(measured), measured.problem, measured.scan, measured.edges).sampled
+    evidence = measure(scan, target, PoseOptions())
+    sampled = compare_modes(find_candidates(evidence), evidence).sampled
     assert sampled is not None
-    on_edges, _ = sampled_measurement(sampled, measured.on_plane)
-    measurement = one_scan(on_edges + measured.on_plane).at(sampled.T_target_lidar)
+    problem = evidence.problem
+    offset_sd = problem.beam.offset_of_rays(np.linalg.norm(problem.edges.points, axis=1))
+    on_edges, _ = sampled_measurement(sampled, evidence.on_plane, offset_sd)
+    measurement = (on_edges + evidence.on_plane).of_one_scan().at(sampled.T_target_lidar)
     covariance = sampled.covariance[:6, :6]
     T = refine(measurement)
     xi = difference(sampled.T_target_lidar, T)
     assert xi @ np.linalg.solve(covariance, xi) < 0.05**2
     whitened = np.linalg.solve(covariance, np.linalg.inv(measurement.at(T).information()))
-    np.testing.assert_allclose(np.linalg.eigvals(whitened).real, 1.0, atol=0.25)
+    np.testing.assert_allclose(np.linalg.eigvals(whitened).real, 1.0, atol=0.1)
     turned = np.diag([1.0, -1.0, -1.0, 1.0]) @ T
     assert measurement.error(turned) > measurement.error(T) + 50
 

@@ -10,11 +10,14 @@ from scipy.stats import chi2, f
 
 from optshape_graph.gaussian import chi_square_tail, f_tail
 from optshape_graph.io import load_target
-from optshape_graph.pose.surface import OUTLYING, PlaneResiduals, find_surface, gyration, rim_step, sheets
+from optshape_graph.pose import PoseOptions
+from optshape_graph.pose.ends import SEEN
+from optshape_graph.pose.evidence import measure
+from optshape_graph.pose.surface import OUTLYING
 from tests.pose.clouds import simulated
 
 PAPER = load_target("paper@0.7")
-RADIUS = gyration(PAPER)
+RADIUS = PAPER.gyration
 
 
 def residuals(seed: int, noise: float = 1.0, bias: float = 1.0, distance: float = 5.0, turn: float = 0.0):
@@ -25,7 +28,7 @@ def residuals(seed: int, noise: float = 1.0, bias: float = 1.0, distance: float 
     sensor = load_sensor("vlp32c")
     worse = replace(sensor, range_noise=noise * sensor.range_noise, ring_bias=bias * sensor.ring_bias)
     scan, _ = simulated(distance, (0.0, turn, 0.0), seed, PAPER, sensor, NoiseModel.of(worse))
-    return PlaneResiduals.of_scan(scan, PAPER), scan
+    return measure(scan, PAPER, PoseOptions()).residuals, scan
 
 
 def test_tails_are_those_of_scipy() -> None:
@@ -47,7 +50,7 @@ def test_noise_and_bias_are_seen(noise: float, bias: float) -> None:
 
 def test_flat_boards_are_flat() -> None:
     """SEEN is a probability: of 200 flat boards 2 % seem to have a shape; 4 have a standard deviation of 2."""
-    assert sum(find_surface(residuals(seed)[0]).size > 0 for seed in range(200)) <= 12
+    assert sum(residuals(seed)[0].surface(SEEN).size > 0 for seed in range(200)) <= 12
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -58,7 +61,7 @@ def test_a_bend_is_seen_at_its_size(seed: int) -> None:
     bent = replace(flat, e=flat.e + depth)
     plane = flat.terms[:, :3]
     shape = depth - plane @ np.linalg.lstsq(plane, depth, rcond=None)[0]
-    found = find_surface(bent)
+    found = bent.surface(SEEN)
     assert found.probability < 1e-12
     assert found.size == pytest.approx(np.sqrt(np.mean(shape**2)), rel=0.2)
 
@@ -66,7 +69,7 @@ def test_a_bend_is_seen_at_its_size(seed: int) -> None:
 def test_a_fold_is_told_from_a_bend() -> None:
     flat, _ = residuals(3)
     folded = replace(flat, e=flat.e + 0.08 * np.abs(flat.yz[:, 0] + 0.2))
-    assert find_surface(folded).shape == "fold"
+    assert folded.surface(SEEN).shape == "fold"
 
 
 @settings(max_examples=10)
@@ -74,7 +77,7 @@ def test_a_fold_is_told_from_a_bend() -> None:
 def test_a_tilted_plane_is_no_shape(y: float, z: float, offset: float) -> None:
     flat, _ = residuals(1)
     tilted = replace(flat, e=flat.e + flat.terms[:, :3] @ [offset, y, z])
-    assert find_surface(tilted).probability == pytest.approx(find_surface(flat).probability, rel=1e-3)
+    assert tilted.surface(SEEN).probability == pytest.approx(flat.surface(SEEN).probability, rel=1e-3)
 
 
 def test_mixed_pixels_are_left_out() -> None:
@@ -82,7 +85,7 @@ def test_mixed_pixels_are_left_out() -> None:
     rows = np.random.default_rng(0).choice(len(scan), 20, replace=False)
     points = scan.points.copy()
     points[rows] *= 1.03  # 15 cm at 5 m
-    mixed = PlaneResiduals.of_scan(replace(scan, points=points), PAPER)
+    mixed = measure(replace(scan, points=points), PAPER, PoseOptions()).residuals
     assert not mixed.usual[rows].any()
     assert mixed.usual.sum() >= len(scan) - 22
     assert np.abs(mixed.rest[mixed.usual]).max() <= OUTLYING * mixed.noise
@@ -93,23 +96,23 @@ def test_a_rim_that_stands_out() -> None:
     flat, scan = residuals(4)
     rim = np.linalg.norm(flat.yz, axis=1) > 1.2
     inner = np.ones(len(scan), dtype=bool)
-    step, chance = rim_step(replace(flat, e=flat.e - 0.03 * rim), rim, inner)
+    step, chance = replace(flat, e=flat.e - 0.03 * rim).rim_step(rim, inner)
     assert step == pytest.approx(-0.03, abs=5e-3)
     assert chance < 1e-8
-    assert rim_step(flat, rim, inner)[1] > 1e-4
+    assert flat.rim_step(rim, inner)[1] > 1e-4
 
 
 def test_two_revolutions_apart() -> None:
     """Neighbours alternate, and the second half of the recording lies 2 cm behind."""
     flat, scan = residuals(5, noise=0.3)
     azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
-    assert sheets(flat, azimuth).apart == 0.0
+    assert flat.sheets(azimuth).apart == 0.0
     twice = replace(
         flat,
         e=np.append(flat.e, flat.e + 0.02), yz=np.vstack([flat.yz, flat.yz]), column=np.tile(flat.column, 2),
         rest=np.append(flat.rest - 0.01, flat.rest + 0.01), usual=np.tile(flat.usual, 2),
     )  # fmt: skip
-    found = sheets(twice, np.append(azimuth, azimuth + 1e-4))
+    found = twice.sheets(np.append(azimuth, azimuth + 1e-4))
     assert found.correlation < -0.25
     assert found.apart == pytest.approx(0.01, rel=0.2)
     assert found.probability < 1e-8

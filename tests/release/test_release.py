@@ -58,14 +58,14 @@ def test_wheel_says_what_the_project_says(dist: Path) -> None:
     assert said["Version"] == optshape_graph.__version__
     assert set(said.get_all("Provides-Extra")) == set(project["optional-dependencies"])
     assert said["License-Expression"] == "Apache-2.0"
-    assert "optshape = optshape_graph.cli.main:main" in entry_points
+    assert "optshape = optshape_graph.cli.entry:main" in entry_points
 
 
 def test_source_distribution_holds_what_is_needed_to_test_and_document_it(dist: Path) -> None:
     [path] = dist.glob("*.tar.gz")
     with tarfile.open(path) as archive:
         names = {name.split("/", 1)[1] for name in archive.getnames()}
-    assert {"README.md", "CHANGELOG.md", "LICENSE", "Makefile", "mkdocs.yml", "docs/index.md"} <= names
+    assert {"README.md", "CHANGELOG.md", "LICENSE", "Makefile", "zensical.toml", "docs/index.md"} <= names
     assert "tests/release/smoke.py" in names
     assert not [name for name in names if name.startswith(("build/", "dist/", ".venv/"))]
 

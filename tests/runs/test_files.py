@@ -34,7 +34,7 @@ def failed(path: str, reason: str) -> Outcome:
 
 
 def document(paths: list[str], output: Path, **options: object) -> bytes:
-    with run_files(look, paths, failed, form="estimate", describe={}, output=output, **options):  # type: ignore[arg-type]
+    with run_files(look, paths, failed, form="estimate", describe={}, output=output, **options):
         assert journal_of(output).exists()
     assert not journal_of(output).exists()
     return output.read_bytes()

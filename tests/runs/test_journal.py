@@ -43,13 +43,36 @@ def test_half_a_line_is_cut_off_wherever_it_ends(tmp_path: Path) -> None:
 
 def test_another_run_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
-    Journal(path, WHAT, 3).close()
+    with Journal(path, WHAT, 3) as journal:
+        journal.add(1, {"a": 1})
     for describe, count in ((WHAT | {"version": 2}, 3), (WHAT, 4)):
         with pytest.raises(InputError, match=r"a\.journal: holds what is finished of another run"):
             Journal(path, describe, count)
 
 
-@pytest.mark.parametrize("content", [b"hello\n", b'{"a": 1}\n', b"\x00\xff\n", b"[]\n"])
+def test_a_run_that_finished_nothing_leaves_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    with Journal(path, WHAT, 3):
+        killed = path.read_bytes()
+    assert not path.exists()
+    path.write_bytes(killed)
+    with Journal(path, WHAT | {"version": 2}, 3) as journal:  # nothing of the other run is lost
+        journal.add(0, {"a": 1})
+    with Journal(path, WHAT | {"version": 2}, 3) as journal:
+        assert journal.finished == 1
+
+
+def test_a_task_far_ahead_takes_no_memory(tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    with Journal(path, WHAT, None) as journal:
+        journal.add(0, {"a": 1})
+    with path.open("a") as stream:
+        stream.write('{"task": 99999999, "a": 1}\n')
+    with pytest.raises(InputError, match="not a line of a journal"):
+        Journal(path, WHAT, None)
+
+
+@pytest.mark.parametrize("content", [b"hello\n", b'{"a": 1}\n', b"\x00\xff\n", b"[]\n", b"no line end"])
 def test_another_file_is_left_as_it_is(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.journal"
     path.write_bytes(content)

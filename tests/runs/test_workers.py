@@ -67,7 +67,7 @@ def test_what_a_task_raises_is_raised(tmp_path: Path) -> None:
 def test_tasks_are_taken_as_they_are_needed() -> None:
     taken = []
 
-    def tasks():  # type: ignore[no-untyped-def]
+    def tasks():
         for k in range(100):
             taken.append(k)
             yield k, k
@@ -76,7 +76,7 @@ def test_tasks_are_taken_as_they_are_needed() -> None:
     for _ in range(10):
         next(results)
     assert len(taken) <= 10 + 2
-    results.close()  # type: ignore[attr-defined]  # a generator
+    results.close()
 
 
 def hanging(task: int) -> int:

@@ -80,6 +80,8 @@ def draw(name: str, seed: int, index: int) -> tuple[Scan, Target, np.ndarray]:
                 azimuth_jitter=np.radians(0.02),
                 range_noise=0.01 * rng.uniform(0.5, 2.0),
                 ring_bias=0.01,
+                brightness=sensor.brightness_bias * rng.normal(),
+                glow=rng.uniform(0.0, 0.1),
             )
             full, own = cast(target, sensor, T, receiver, rng, wall)
             scan = full.select(own)

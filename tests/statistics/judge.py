@@ -50,8 +50,9 @@ def estimate_row(scan: Scan, target: Target, T_true: np.ndarray) -> Row:
 def is_listed(scan: Scan, target: Target, T_true: np.ndarray) -> bool:
     """Whether the true mode is among those that are compared; version 0.1.0 has no such list, and is given credit."""
     try:
+        from optshape_graph.pose.evidence import measure
+        from optshape_graph.pose.modes import find_candidates
         from optshape_graph.pose.options import PoseOptions
-        from optshape_graph.pose.rings import find_candidates, measure
     except ImportError:
         return True
     found = find_candidates(measure(scan, target, PoseOptions())).T_target_lidar

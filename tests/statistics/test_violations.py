@@ -21,6 +21,9 @@ from optshape_graph.se3 import difference
 from tests.casting.caster import Receiver, Wall, cast
 from tests.statistics.violations import CLEAN, KINDS, Trial, World, by_simulator
 
+SEED = 4003
+"""Not looked at while working."""
+
 THREE_SIGMA = chi2.ppf(0.997, 6)
 
 UNTELLABLE = ("moving 5 m/s", "moving 20 m/s")
@@ -36,6 +39,8 @@ def by_caster(target: Target, sensor: SensorModel, T: np.ndarray, rng: np.random
         azimuth_jitter=np.radians(0.02),
         range_noise=sensor.range_noise * rng.uniform(0.5, 2.0),
         ring_bias=sensor.ring_bias,
+        brightness=sensor.brightness_bias * rng.normal(),
+        glow=rng.uniform(0.0, 0.1),
     )
     full, own = cast(target, sensor, T, receiver, rng, wall)
     return full.select(np.flatnonzero(own))
@@ -79,7 +84,7 @@ def counts(
             turn, moved = np.degrees(np.linalg.norm(error[:3])), np.linalg.norm(error[3:])
             found["wrong"] += bool(square > THREE_SIGMA or turn > 10)
             found["gross"] += bool(turn > 10 or moved > 0.15)
-            found["nees"] += square / 6  # type: ignore[assignment]  # a sum that is not whole
+            found["nees"] += square / 6
     return found
 
 
@@ -109,7 +114,7 @@ def test_a_few_of_each(kind: str) -> None:
 @pytest.mark.parametrize(("world", "n"), [("paper vlp32c", 60), ("square vlp16", 20), ("triangle os1-64", 20)])
 def test_wrong_and_ok(world: str, n: int) -> None:
     """At most 4 % of all and 20 % of each kind that can be told, grossly 0.3 %; an ordinary bad day NEES / dof 1.5."""
-    result = table(world, KINDS, n, 4003)
+    result = table(world, KINDS, n, SEED)
     told = {kind: found for kind, found in result.items() if kind not in UNTELLABLE}
     wrong = sum(found["wrong"] for found in told.values())
     print(f"{world}: wrong and ok {sum(found['wrong'] for found in result.values())} of {n * len(result)}; "
@@ -122,10 +127,11 @@ def test_wrong_and_ok(world: str, n: int) -> None:
 
 @pytest.mark.benchmark
 def test_clean_scans_are_not_flagged() -> None:
-    """At most 0.5 %: of 200 of each world, and of 50 without rings."""
-    flagged = 0
+    """At most 0.5 % in each world: of 200, and of 50 without rings."""
+    flagged = {}
     for world in WORLDS:
-        flagged += table(world, {"clean": CLEAN["clean"]}, 200, 4004)["clean"]["flagged"]
-        flagged += table(world, {"clean, no rings": CLEAN["clean, no rings"]}, 50, 4004)["clean, no rings"]["flagged"]
-    print(f"flagged: {flagged} of {250 * len(WORLDS)}")
-    assert flagged <= 0.005 * 250 * len(WORLDS)
+        clean = table(world, {"clean": CLEAN["clean"]}, 200, SEED + 1)["clean"]
+        ringless = table(world, {"clean, no rings": CLEAN["clean, no rings"]}, 50, SEED + 1)["clean, no rings"]
+        flagged[world] = clean["flagged"] + ringless["flagged"]
+    print(f"flagged of 250 each: {flagged}")
+    assert max(flagged.values()) <= 0.005 * 250

@@ -207,6 +207,13 @@ def noisier(trial: Trial, rng: np.random.Generator, noise: float, bias: float) -
     return trial.cast(trial.target, worse, rng)
 
 
+def brighter(trial: Trial, rng: np.random.Generator, times: float) -> Trial:
+    """The board's brightness does so many times as much to its ranges and its rim as the file says."""
+    sensor = trial.world.sensor
+    bright = replace(sensor, brightness_bias=times * sensor.brightness_bias, blooming=times * sensor.blooming)
+    return trial.cast(trial.target, bright, rng)
+
+
 def resized(trial: Trial, rng: np.random.Generator, along: float, across: float) -> Trial:
     """The board is larger than its file says, along a random direction and across it."""
     n = _direction(rng)
@@ -297,6 +304,7 @@ KINDS: dict[str, Callable[[Trial, np.random.Generator], Trial]] = {
     "five rings": lambda t, r: few_rings(t, r, 5),
     "mirrored, no rings": mirrored,
     "dark squares 2 cm": lambda t, r: chequered(t, r, 0.02),
+    "brightness x 3": lambda t, r: brighter(t, r, 3.0),
     "duplicates": duplicated,
     "10 % lost": lambda t, r: lost(t, r, 0.1),
     "30 % lost": lambda t, r: lost(t, r, 0.3),

@@ -22,7 +22,6 @@ def test_a_line_for_every_method_level_and_orientation():
     ]  # fmt: skip
     figure = plot_sweep(summarise(rows, ("method", "noise", "orientation", "range_m")))
     assert len(figure.axes) == 6
-    lines = figure.axes[0].get_lines()
-    assert len(lines) == 6  # two levels and the bound, in two orientations
-    assert lines[0].get_ydata() == pytest.approx([0.02, 0.04])
+    assert len(figure.axes[0].get_legend_handles_labels()[1]) == 6  # two levels and the bound, in two orientations
+    assert figure.axes[0].containers[0][0].get_ydata() == pytest.approx([0.02, 0.04])
     assert_legible(figure)

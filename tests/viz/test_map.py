@@ -17,12 +17,17 @@ def test_landmarks_and_ellipses_are_where_they_belong():
     T = at(3.0, 4.0, 0.5)
     C = covariance([0.1, 0.1, 0.1, 0.2, 0.1, 0.1])
     figure = plot_map(Map((Landmark("a", TARGET, T, C),)))
-    outline, ellipse = (line.get_xydata() for line in figure.axes[0].lines)
+    outline, ellipse, low, facing, high = (line.get_xydata() for line in figure.axes[0].lines)
     np.testing.assert_allclose(outline[:-1], (TARGET.vertices @ T[:3, :3].T + T[:3, 3])[:, :2])
     # Three standard deviations: 0.6 m along the target's normal, 0.3 m across.
     radii = np.linalg.norm(ellipse - T[:2, 3], axis=1)
     assert radii.max() == pytest.approx(0.6, rel=1e-2)
     assert radii.min() == pytest.approx(0.3, rel=1e-2)
+    # To the side that the LiDAR sees, and three standard deviations of the heading to both sides.
+    along = np.array([end[1] - end[0] for end in (low, facing, high)])
+    np.testing.assert_allclose(along[1] / np.linalg.norm(along[1]), -T[:2, 0] / np.linalg.norm(T[:2, 0]), atol=1e-9)
+    turns = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
+    np.testing.assert_allclose(np.diff(turns), 0.3, rtol=1e-6)
     assert_legible(figure)
 
 

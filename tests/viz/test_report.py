@@ -8,7 +8,7 @@ import pytest
 
 from optshape_graph import InputError
 from optshape_graph.evaluation.verdicts import verdict_of
-from optshape_graph.viz.report import plan_view, write_report
+from optshape_graph.viz.report import caption_of, plan_view, write_report
 
 COVARIANCE = np.diag([1e-4, 1e-4, 1e-4, 1e-6, 4e-6, 1e-6]).tolist()
 
@@ -52,6 +52,24 @@ CHOICE = {"schema": "optshape/design-choice/1", "range_m": 6.0, "scans": 100, "c
           "smaller": [{**SIZE, "e_r_95_deg": None, "e_t_95_m": None, "does_it": False}]}  # fmt: skip
 
 
+CELL = {
+    "method": "global", "noise": "sensor", "orientation": "face", "range_m": 20.0, "scans": 10, "ok": 10, "doubtful": 0,
+    "ambiguous": 0, "failed": 0, "rmse_m_median": 0.01, "rmse_m_p95": 0.02, "e_t_m_median": 0.005, "e_t_m_p95": 0.01,
+    "e_r_deg_median": 0.5, "e_r_deg_p95": 1.0, "worst_ok_e_r_deg": 1.2, "nees_per_dof": 1.0, "nees_low": 0.8,
+    "nees_high": 1.2,
+}  # fmt: skip
+SWEEP = {"schema": "optshape/simulation-evaluation/1", "target": "paper", "sensor": None, "draws": 10, "seed": 0,
+         "cells": [CELL, {**CELL, "range_m": 40.0, "ok": 6, "ambiguous": 4}]}  # fmt: skip
+NOTHING = {
+    f"{prefix}{name}": None for prefix in ("reference_", "published_") for name in ("rmse_m", "e_t_m", "e_r_deg")
+}
+COMPARED = {
+    "schema": "optshape/mocap-evaluation/1", "mean": MOCAP["mean"], "reference_mean": None, "left_out": [],
+    "scans": [{"session": "s", "scan": f"{k}.pcd", "distance_m": 5.0, "n_points": 99,
+               "rmse_m": 0.05 if k == 3 else 0.01, "e_t_m": 0.005, "e_r_deg": 0.5, **NOTHING} for k in range(6)],
+}  # fmt: skip
+
+
 class Checker(HTMLParser):
     VOID = frozenset({"meta", "img"})
 
@@ -83,7 +101,9 @@ def read(path):
     return " ".join(checker.text)
 
 
-@pytest.mark.parametrize("document", [ESTIMATE, DOUBTFUL, MOCAP, MAP, CHOICE], ids=lambda document: document["schema"])
+@pytest.mark.parametrize(
+    "document", [ESTIMATE, DOUBTFUL, MOCAP, MAP, CHOICE, SWEEP, COMPARED], ids=lambda document: document["schema"]
+)
 def test_a_report_is_one_sound_file_that_says_the_verdict(tmp_path, document):
     path = tmp_path / "report.html"
     verdict = write_report(path, document, command="optshape estimate 'a b.pcd' --target paper")
@@ -120,6 +140,30 @@ def test_a_doubtful_one_says_what_to_do():
     assert verdict_of(few).level == "Usable with care"
     assert verdict_of({**MOCAP, "verdict": "not to be trusted"}).level == "Not usable"
     assert verdict_of(MAP).advice == ("1 landmarks were seen in one scan only (A): drive past them again",)
+
+
+def test_an_evaluation_says_where_it_fails():
+    assert verdict_of(SWEEP).line == (
+        "Usable with care: 16 of 20 scans of 'paper' end ok; normalised errors squared are 1.00 per degree of freedom, "
+        "1 where covariances are right; at 40 m, face, 6 of 10 are ok: a larger target, or a nearer place"
+    )
+    turned = {**SWEEP, "cells": [{**CELL, "worst_ok_e_r_deg": 170.0}]}
+    assert verdict_of(turned).level == "Not usable"
+    assert "more than 45 deg off at 20 m face" in verdict_of(turned).advice[0]
+    assert verdict_of({**SWEEP, "cells": [{**CELL, "nees_per_dof": 2.0}]}).level == "Usable with care"
+    assert verdict_of(COMPARED).advice == ("look at s/3.pcd first: 50 mm, 5.0 times the median, at 5.0 m",)
+    assert verdict_of({**COMPARED, "mean": None, "scans": []}).level == "Not usable"
+
+
+def test_captions_say_how_to_read_a_picture():
+    assert caption_of("8m_angled_edges").startswith("8m_angled: which edge each end of a ring")
+    assert caption_of("map").startswith("Landmarks, the way each faces")
+    assert caption_of("000_0_board") == "000 0 board"
+
+
+def test_columns_without_a_word_are_left_out(tmp_path):
+    write_report(tmp_path / "r.html", ESTIMATE)
+    assert "reason" not in read(tmp_path / "r.html")
 
 
 def test_nothing_found_is_not_usable():

@@ -29,9 +29,10 @@ from optshape_graph.calibration.camera.session import read_views
 from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.camera.start import Start, find_start
 from optshape_graph.calibration.images.image_points import turn_about
-from optshape_graph.errors import EstimationError, InputError, UnobservableError
+from optshape_graph.errors import EstimationError, InputError, UnobservableError, expect
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Session, load_session
+from optshape_graph.runs.kept import Kept
 
 FOLDS = 5
 
@@ -49,6 +50,7 @@ def calibrate_camera(
     refine_intrinsics: bool | None = None,
     range_bias_sigma: float = Unknowns.range_bias_sigma,
     progress: Progress | None = None,
+    kept: Kept | None = None,
 ) -> CameraCalibration:
     """Calibrate T_camera_lidar of a session's LiDARs and cameras, and say how far to trust it.
 
@@ -59,6 +61,8 @@ def calibrate_camera(
             images contradict.
         range_bias_sigma: prior standard deviation of a LiDAR's range bias, metres; 0: it has none.
         progress: called with how many images, scans and solutions are done, and how many there are.
+        kept: what a run that was stopped found in scans and images, and this one finds (`runs.kept.keeping`); None: it
+            is not kept.
 
     Raises:
         InputError: a session that can't be read or used as it is: see `check_session`; or a lens that fits none of the
@@ -66,12 +70,13 @@ def calibrate_camera(
         EstimationError: no target was found, or the views contradict each other; the message has the reasons.
         UnobservableError: the views leave directions of the extrinsic open, which it names.
     """
+    expect("session", session, str, Path, Session)
     loaded = session if isinstance(session, Session) else load_session(session)
     if refine_intrinsics:
         for camera in loaded.cameras.values():
             CompiledCamera.of(camera).check_refinable()
     passed_over = PassedOver()
-    views = read_views(loaded, use_target_points, progress, passed_over)
+    views = read_views(loaded, use_target_points, progress, passed_over, kept)
     result = calibrate(views, Unknowns(range_bias_sigma, refine_intrinsics), progress)
     return replace(result, passed_over=passed_over)
 
@@ -105,14 +110,21 @@ def calibrate(
     def graph_as_they_come(free_lenses: Collection[str]) -> CalibrationGraph:
         return CalibrationGraph(start.sightings, base, 0.0, free_lenses, as_they_come=True)
 
+    everything_free = graph_of(cameras)
     best, used, squared, discrepancy = _solve_robustly(graph_of(refined), start, views)
+    if refined != set(cameras) and set(squared) - used:
+        # Views disagree: where they do not under a lens as near to the given one as that is good for, it is the lens.
+        free, agreeing, distances, _ = _solve_robustly(everything_free, start, views)
+        if agreeing > used:
+            used, squared = agreeing, distances
+            best, discrepancy = _settled(graph_of(refined), start, free, used)
     taking_part = {s.sensor for s in start.sightings if used & set(s.views)}
     if missing := sorted(set(start.rig.T_base_sensor) - taking_part):
         raise EstimationError(f"no view of {', '.join(missing)} agrees with those of the other sensors")
     scans = [s for s in start.sightings if s.sensor == base and used & set(s.views)]
-    # What is not known of the lenses, refined or not, is part of what is not known of the cameras' places.
-    everything_free = graph_of(cameras)
-    most_likely = everything_free.solve(used.__contains__, best, discrepancy)
+    # What is not known of the lenses, refined or not, is part of what is not known of the cameras' places. With a lens
+    # that is not quite as given, scans and images differ by more than they scatter: settled with the lens free.
+    most_likely, discrepancy = _settled(everything_free, start, best, used)
     uncertainty = everything_free.uncertainty(used.__contains__, most_likely, discrepancy)
     check_observable(uncertainty, middle(scans))
     graph = graph_as_they_come(refined)

@@ -137,11 +137,15 @@ class CameraCalibration(Result):
         ]
 
     def range_bias(self, lidar: str) -> tuple[float, float]:
-        """Return a LiDAR's range bias, metres, and its standard deviation; positive: it measures too far."""
+        """Return a LiDAR's range bias, metres, and its standard deviation; positive: it measures too far.
+
+        It is that of `corrected`; as with `transform`, the deviation allows for a lens that is not quite as given.
+        """
         if self.corrected is None or lidar not in self.corrected.range_bias:
             return 0.0, 0.0
         row = self.uncertainty.rows["range_bias", lidar].start
-        return self.corrected.range_bias[lidar], float(np.sqrt(self.uncertainty.covariance[row, row]))
+        moved = self.corrected.range_bias[lidar] - self.most_likely.range_bias[lidar]
+        return self.corrected.range_bias[lidar], float(np.sqrt(self.uncertainty.covariance[row, row] + moved**2))
 
     def edge_insets(self, lidar: str) -> Floats:
         """Return the azimuths (N,), rad, from a ring's last return to the target's edge in a LiDAR's used scans.

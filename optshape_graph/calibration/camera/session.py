@@ -18,12 +18,13 @@ from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.images.reading import ImageTask, TargetInImage, find_targets
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors import RANGE_BIAS, SharedError
-from optshape_graph.factors.static import OUTER_EDGE
+from optshape_graph.factors import OF_RINGS, RANGE_BIAS, SharedError
 from optshape_graph.io import Session, read_scan
 from optshape_graph.io import View as Entry
 from optshape_graph.io.passed_over import UNUSABLE, PassedOver
 from optshape_graph.pose import PoseEstimate, estimate_pose
+from optshape_graph.runs.files import fingerprint
+from optshape_graph.runs.kept import Kept
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, vec_derivative
 from optshape_graph.sensor import SensorModel
@@ -44,6 +45,7 @@ def read_views(
     use_target_points: bool = False,
     progress: Progress | None = None,
     passed_over: PassedOver | None = None,
+    kept: Kept | None = None,
 ) -> list[View]:
     """Find the session's targets in its scans and images.
 
@@ -54,6 +56,7 @@ def read_views(
         use_target_points: whether to take the target's returns from the views' manual crops.
         progress: called as images and scans are done.
         passed_over: counts the scans and images that show nothing, and the clouds' fields that are not used.
+        kept: what a run that was stopped found, and this one finds; None: it is not kept.
 
     Raises:
         InputError: what `check_session` says; crops that were asked for are missing; or the intrinsics fit half of the
@@ -71,9 +74,10 @@ def read_views(
             if progress is not None:
                 progress(done, total)
 
-    images = read_images(session, of_images, tick)
+    kept = kept or Kept()
+    images = read_images(session, of_images, tick, kept)
     passed_over = PassedOver() if passed_over is None else passed_over
-    scans = read_scans(session, of_scans, use_target_points, tick, passed_over.unused("scans"))
+    scans = read_scans(session, of_scans, use_target_points, tick, passed_over.unused("scans"), kept)
     check_found(session, scans.values(), TargetInScan, "scan")
     for source, results in (("scans", scans), ("images", images)):
         count_skipped(passed_over, source, results)
@@ -138,13 +142,13 @@ def target_in_scan(
 
 def persists(error: SharedError) -> bool:
     """Return whether an error is the LiDAR's own, in every scan: a ring's."""
-    return error.ring is not None and error.kind != OUTER_EDGE
+    return error.ring is not None and error.kind in OF_RINGS
 
 
 def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[SharedError, ...], Floats]:
-    """Return the rings whose range biases move the pose, and how: (6, R), right perturbation of T_lidar_target.
+    """Return the errors of rings that move the pose, and how: (6, K), right perturbation of T_lidar_target.
 
-    The estimate allows for biases delta of its own; beside true ones beta it minimises
+    The estimate allows for errors delta of its own; beside true ones beta it minimises
     ||S_pose x + S_bias (delta + beta) ||^2 + ||delta||^2.
     """
     assert estimate.shared is not None
@@ -152,7 +156,7 @@ def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[SharedError, ...], Flo
     k = len(errors)
     by_pose = stack[:, k:-1] @ vec_derivative(estimate.T_target_lidar)
     rows = np.block([[by_pose, stack[:, :k]], [np.zeros((k, 6)), np.eye(k)]])
-    rings = [j for j, error in enumerate(errors) if error.kind == RANGE_BIAS]
+    rings = [j for j, error in enumerate(errors) if error.kind in OF_RINGS]
     biases = np.vstack([stack[:, rings], np.zeros((k, len(rings)))])
     x = np.linalg.lstsq(rows, -biases, rcond=None)[0][:6]
     # (T Exp(x))^-1 = T^-1 Exp(-Ad(T) x)
@@ -183,7 +187,7 @@ def scan_tasks(session: Session, use_target_points: bool) -> dict[tuple[Path, st
 
 
 def read_images(
-    session: Session, tasks: Mapping[ImageKey, ImageTask], tick: Callable[[], None]
+    session: Session, tasks: Mapping[ImageKey, ImageTask], tick: Callable[[], None], kept: Kept
 ) -> dict[ImageKey, ImageResult]:
     """Find targets in images.
 
@@ -191,7 +195,7 @@ def read_images(
         InputError: the intrinsics fit half of the images or fewer.
         EstimationError: no image shows a target.
     """
-    found = find_targets(list(tasks.values()), tick)
+    found = find_targets(list(tasks.values()), tick, kept)
     unfit = [error for error in found if isinstance(error, InputError)]
     shown = sum(isinstance(one, TargetInImage) for one in found)
     if unfit and shown <= len(unfit):
@@ -226,49 +230,66 @@ def read_scans(
     are_crops: bool,
     tick: Callable[[], None],
     unused: Counter[str],
+    kept: Kept,
 ) -> dict[tuple[Path, str, str], ScanResult]:
     """Find targets in scans, by file, LiDAR and target."""
     results: dict[tuple[Path, str, str], ScanResult] = {}
     for (path, lidar), names in tasks.items():
         targets = {name: session.targets[name] for name in names}
-        for name, result in _in_scan(path, session.lidars[lidar], lidar, targets, are_crops, unused).items():
+        for name, result in _in_scan(path, session.lidars[lidar], lidar, targets, are_crops, unused, kept).items():
             results[path, lidar, name] = result
         tick()
     return results
 
 
 def _in_scan(
-    path: Path, sensor: SensorModel, lidar: str, targets: Mapping[str, Target], is_crop: bool, unused: Counter[str]
+    path: Path,
+    sensor: SensorModel,
+    lidar: str,
+    targets: Mapping[str, Target],
+    is_crop: bool,
+    unused: Counter[str],
+    kept: Kept,
 ) -> dict[str, ScanResult]:
     """Find targets in one scan: in a crop by cleaning it, in a full one by detection."""
     try:
         scan = read_scan(path, sensor, unused=unused)
+        of = {"scan": fingerprint([str(path)]), "crop": is_crop, "lidar": lidar, "sensor": sensor, "targets": targets}
         if not is_crop:
-            return _detected(scan, lidar, targets)
+            return _with_scan(kept(Mapping[str, TargetInScan | str], of, lambda: _detected(scan, lidar, targets)), scan)
         if len(targets) > 1:
             raise InputError(
                 f"{path}: a crop of {len(targets)} targets ({', '.join(targets)}); expected one target a view"
             )
         ((name, target),) = targets.items()
-        return {name: target_in_scan(planar_returns(scan), target, lidar, scan=scan)}
+        found = kept(TargetInScan, of, lambda: target_in_scan(planar_returns(scan), target, lidar))
+        return _with_scan({name: found}, scan)
     except (EstimationError, InputError) as error:
         return dict.fromkeys(targets, error)
 
 
-def _detected(scan: Scan, lidar: str, targets: Mapping[str, Target]) -> dict[str, ScanResult]:
-    """Find targets in a full scan; of several of one kind, the most certain."""
+def _with_scan(found: Mapping[str, TargetInScan | str], scan: Scan) -> dict[str, ScanResult]:
+    """Add to what is kept of a scan its other returns."""
+    return {
+        name: EstimationError(seen) if isinstance(seen, str) else replace(seen, all_returns=scan.points)
+        for name, seen in found.items()
+    }
+
+
+def _detected(scan: Scan, lidar: str, targets: Mapping[str, Target]) -> dict[str, TargetInScan | str]:
+    """Find targets in a full scan, of several of one kind the most certain; or say why there is none."""
     named = {name: replace(target, name=name) for name, target in targets.items()}
     detections = detect_targets(scan, list(named.values()))
-    results: dict[str, ScanResult] = {}
+    results: dict[str, TargetInScan | str] = {}
     for name in targets:
         found = [one for one in detections.found if one.target.name == name and one.estimate.status != "failed"]
         if found:
             best = max(found, key=lambda one: one.score)
-            results[name] = target_in_scan(scan.select(best.indices), best.target, lidar, best.estimate, scan)
+            results[name] = target_in_scan(scan.select(best.indices), best.target, lidar, best.estimate)
         else:
             closest = max(detections.rejected, key=lambda one: one.area, default=None)
             why = f"; the largest surface turned down: {closest.reason}" if closest else ""
-            results[name] = EstimationError(f"{scan.name}: target '{name}' not found in the scan{why}")
+            results[name] = f"{scan.name}: target '{name}' not found in the scan{why}"
     return results
 
 

@@ -22,6 +22,8 @@ from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.files import read_bytes
 from optshape_graph.io.image_files import decode_image, opencv
+from optshape_graph.runs.files import fingerprint
+from optshape_graph.runs.kept import Kept
 from optshape_graph.target import Target
 
 LARGEST_ERROR = 5.0
@@ -93,7 +95,7 @@ def find_target(task: ImageTask, thorough: bool = True) -> TargetInImage:
 
 
 def find_targets(
-    tasks: Sequence[ImageTask], tick: Callable[[], None] = lambda: None
+    tasks: Sequence[ImageTask], tick: Callable[[], None] = lambda: None, kept: Kept | None = None
 ) -> list[TargetInImage | EstimationError | InputError]:
     """Find targets in several images at once, in threads: OpenCV lets go of the interpreter while it works.
 
@@ -103,16 +105,18 @@ def find_targets(
     Args:
         tasks: what to find where.
         tick: called once for every image that is done.
+        kept: what was found in a run that was stopped, and is in this one; None: it is not kept.
 
     Returns:
         For each task the target or the error, in the tasks' order.
     """
     opencv()
+    kept = kept or Kept()
     found: dict[int, Found] = {}
 
     def attempt(numbers: Sequence[int], thorough: bool) -> None:
         with ThreadPoolExecutor(max_workers=min(len(numbers), cpu_count() or 1) or 1) as pool:
-            futures = {pool.submit(_attempt, tasks[k], thorough): k for k in numbers}
+            futures = {pool.submit(_attempt, tasks[k], thorough, kept): k for k in numbers}
             for future in as_completed(futures):
                 found[futures[future]] = future.result()
                 if thorough or not isinstance(future.result(), EstimationError):
@@ -146,9 +150,11 @@ def read_grey(path: Path) -> np.ndarray:
     return decode_image(read_bytes(path), str(path), channels=1)
 
 
-def _attempt(task: ImageTask, thorough: bool) -> Found:
+def _attempt(task: ImageTask, thorough: bool, kept: Kept) -> Found:
+    files = [str(path) for path in (task.image, task.start) if path is not None]
+    of = {"files": fingerprint(files), "target": task.target, "camera": task.camera, "thorough": thorough}
     try:
-        return find_target(task, thorough)
+        return kept(TargetInImage, of, lambda: find_target(task, thorough))
     except (EstimationError, InputError) as error:
         return error
 

@@ -17,10 +17,11 @@ from optshape_graph.calibration.mocap.layout import CheckedMarkers, marker_out_o
 from optshape_graph.calibration.mocap.result import LeftOut, MocapCalibration
 from optshape_graph.calibration.mocap.session import load_mocap_scans
 from optshape_graph.calibration.verdict import Finding
-from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.errors import EstimationError, InputError, expect
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Session, load_session
 from optshape_graph.pose import refine
+from optshape_graph.runs.kept import Kept
 from optshape_graph.se3 import angle, inverse
 
 SCALE_OFF = (0.01, 4.0)
@@ -34,6 +35,7 @@ def calibrate_mocap(
     marker_noise: float = MarkerModel.noise,
     layout_prior: float = MarkerModel.layout_prior,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    kept: Kept | None = None,
 ) -> MocapCalibration:
     """Calibrate T_lidar_mocap and the marker layout of a session, and say how far to trust them.
 
@@ -46,15 +48,17 @@ def calibrate_mocap(
         marker_noise: standard deviation of a marker coordinate, metres.
         layout_prior: standard deviation of a marker's place about its vertex along each axis, metres.
         progress: called with the number of scans estimated, and their total.
+        kept: estimates of a run that was stopped, and of this one (`runs.kept.keeping`); None: they are not kept.
 
     Raises:
         InputError: a session that can't be read or used, or markers in another unit of length.
         EstimationError: fewer than two scans can be used; or the scans contradict each other so that no calibration
             can be given, and the message says what seems to be wrong.
     """
+    expect("session", session, str, Path, Session)
     loaded = session if isinstance(session, Session) else load_session(session)
     passed_over = PassedOver()
-    scans, left_out, checked = load_mocap_scans(loaded, layout_prior, progress, passed_over)
+    scans, left_out, checked = load_mocap_scans(loaded, layout_prior, progress, passed_over, kept)
     if len(scans) < 2:
         reasons = "".join(f"; {item.scan}: {item.reason}" for item in left_out)
         raise EstimationError(

@@ -162,7 +162,7 @@ def innovations(
     return found
 
 
-def marker_factor(markers: Floats, i: int, sigma: float, with_scale: bool) -> gtsam.CustomFactor:
+def marker_factor(markers: Floats, i: int, sigma: float, with_scale: bool, frame: int = 0) -> gtsam.CustomFactor:
     """Return the factor of one scan's markers: H_i T_lidar_mocap (s q_k) - m_k for every marker that was seen.
 
     Args:
@@ -170,14 +170,15 @@ def marker_factor(markers: Floats, i: int, sigma: float, with_scale: bool) -> gt
         i: the scan's index, of the key of T_target_lidar.
         sigma: standard deviation of a coordinate, metres.
         with_scale: whether s is a variable.
+        frame: number of the motion-capture frame, of the key of T_lidar_mocap.
     """
     seen = np.flatnonzero(np.isfinite(markers).all(axis=1))
-    keys = [H(i), E(0), *(M(int(k)) for k in seen), *([S(0)] if with_scale else [])]
+    keys = [H(i), E(frame), *(M(int(k)) for k in seen), *([S(0)] if with_scale else [])]
     q = markers[seen]
 
     def evaluate(values: gtsam.Values) -> tuple[Floats, list[Floats]]:
         scale = values.atDouble(S(0)) if with_scale else 1.0
-        T_target_lidar, T_lidar_mocap = values.atPose3(H(i)).matrix(), values.atPose3(E(0)).matrix()
+        T_target_lidar, T_lidar_mocap = values.atPose3(H(i)).matrix(), values.atPose3(E(frame)).matrix()
         R_t, R_l = T_target_lidar[:3, :3], T_lidar_mocap[:3, :3]
         in_lidar = scale * q @ R_l.T + T_lidar_mocap[:3, 3]
         in_target = in_lidar @ R_t.T + T_target_lidar[:3, 3]

@@ -17,7 +17,9 @@ from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Mocap, Session, View
-from optshape_graph.pose import estimate_pose
+from optshape_graph.pose import PoseEstimate, estimate_pose
+from optshape_graph.runs.files import fingerprint
+from optshape_graph.runs.kept import Kept
 from optshape_graph.target import Target
 
 
@@ -26,6 +28,7 @@ def load_mocap_scans(
     layout_prior: float = MarkerModel.layout_prior,
     progress: Callable[[int, int], None] = lambda done, total: None,
     passed_over: PassedOver | None = None,
+    kept: Kept | None = None,
 ) -> tuple[tuple[MocapScan, ...], tuple[LeftOut, ...], CheckedMarkers]:
     """Read and estimate every scan of a session that has markers, the markers checked and mended first.
 
@@ -34,6 +37,7 @@ def load_mocap_scans(
         layout_prior: standard deviation of a marker's place about its vertex along each axis, metres.
         progress: called with the number of scans done and their total.
         passed_over: counts the scans that cannot be used, the clouds' fields and the markers that are not used.
+        kept: estimates of a run that was stopped, and of this one; None: they are not kept.
 
     Returns:
         The scans that can be used; those that cannot, with reasons: no marker frame, too few markers, an estimate
@@ -62,7 +66,7 @@ def load_mocap_scans(
         progress(done, len(session.views))
         folder = session.path.parent
         name = str(view.cloud.relative_to(folder) if view.cloud.is_relative_to(folder) else view.cloud)
-        scan = _estimated(name, view, session, target, checked, passed_over)
+        scan = _estimated(name, view, session, target, checked, passed_over, kept or Kept())
         if isinstance(scan, LeftOut):
             left_out.append(scan)
         else:
@@ -72,7 +76,13 @@ def load_mocap_scans(
 
 
 def _estimated(
-    name: str, view: View, session: Session, target: Target, checked: CheckedMarkers, passed_over: PassedOver
+    name: str,
+    view: View,
+    session: Session,
+    target: Target,
+    checked: CheckedMarkers,
+    passed_over: PassedOver,
+    kept: Kept,
 ) -> MocapScan | LeftOut:
     def left_out(kind: str, reason: str) -> LeftOut:
         passed_over.skip("scans", kind)
@@ -87,12 +97,11 @@ def _estimated(
     seen = int(np.isfinite(markers).all(axis=1).sum())
     if seen < MIN_MARKERS:
         return left_out("too few markers", f"frame {frame} shows {seen} markers; {MIN_MARKERS} are needed")
-    returns = read_scan(
-        view.target_points or view.cloud, session.lidars[view.lidar], unused=passed_over.unused("scans")
-    )
-    returns = replace(returns, name=name)
+    path, sensor = view.target_points or view.cloud, session.lidars[view.lidar]
+    returns = replace(read_scan(path, sensor, unused=passed_over.unused("scans")), name=name)
+    of = {"scan": fingerprint([str(path)]), "name": name, "sensor": sensor, "target": target}
     try:
-        estimate = estimate_pose(returns, target)
+        estimate = kept(PoseEstimate, of, lambda: estimate_pose(returns, target))
     except EstimationError as error:
         return left_out("no pose found", str(error))
     if estimate.status in ("failed", "ambiguous"):  # a doubtful one is judged by the other scans

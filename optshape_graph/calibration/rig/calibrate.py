@@ -37,6 +37,7 @@ from optshape_graph.calibration.verdict import Finding
 from optshape_graph.factors import RANGE_BIAS
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import About, Session, load_session
+from optshape_graph.runs.kept import Kept
 from optshape_graph.se3 import adjoint, inverse
 
 Progress = Callable[[int, int], None]
@@ -49,6 +50,7 @@ def calibrate_rig(
     use_target_points: bool = False,
     range_bias_sigma: float = Options.range_bias_sigma,
     progress: Progress | None = None,
+    kept: Kept | None = None,
 ) -> RigCalibration:
     """Calibrate where a session's LiDARs, cameras and motion-capture bodies are to one another.
 
@@ -61,6 +63,8 @@ def calibrate_rig(
         range_bias_sigma: standard deviation of a range bias that all rings of a LiDAR have alike, metres, beside what
             its sensor file says of each ring's own.
         progress: called with how many images and scans are done, and how many there are.
+        kept: what a run that was stopped found in scans and images, and this one finds (`runs.kept.keeping`); None: it
+            is not kept.
 
     Raises:
         InputError: a session that can't be read or used as it is.
@@ -69,7 +73,7 @@ def calibrate_rig(
     """
     loaded = session if isinstance(session, Session) else load_session(session)
     passed_over = PassedOver()
-    read = read_sightings(loaded, use_target_points, progress, passed_over)
+    read = read_sightings(loaded, use_target_points, progress, passed_over, kept)
     result = calibrate(read, loaded, Options(range_bias_sigma))
     return replace(result, passed_over=passed_over)
 

@@ -31,6 +31,7 @@ from optshape_graph.calibration.rig.sightings import Seen, Sighting, TargetInMar
 from optshape_graph.errors import InputError
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Mocap, Session, View, sensors_of
+from optshape_graph.runs.kept import Kept
 from optshape_graph.target import Target
 
 Progress = Callable[[int, int], None]
@@ -60,6 +61,7 @@ def read_sightings(
     use_target_points: bool = False,
     progress: Progress | None = None,
     passed_over: PassedOver | None = None,
+    kept: Kept | None = None,
 ) -> Read:
     """Find the session's targets in what its sensors took.
 
@@ -68,6 +70,7 @@ def read_sightings(
         use_target_points: whether to take the targets' returns from the views' manual crops.
         progress: called as images and scans are done.
         passed_over: counts the scans and images that show nothing, and the clouds' fields that are not used.
+        kept: what a run that was stopped found, and this one finds; None: it is not kept.
 
     Raises:
         InputError: fewer than two sensors; crops that were asked for are missing; intrinsics that fit half of the
@@ -90,8 +93,9 @@ def read_sightings(
             if progress is not None:
                 progress(done, total)
 
-    images = read_images(session, of_images, tick) if of_images else {}
-    scans = read_scans(session, of_scans, use_target_points, tick, passed_over.unused("scans"))
+    kept = kept or Kept()
+    images = read_images(session, of_images, tick, kept) if of_images else {}
+    scans = read_scans(session, of_scans, use_target_points, tick, passed_over.unused("scans"), kept)
     count_skipped(passed_over, "scans", scans)
     count_skipped(passed_over, "images", images)
     vertices = _vertices(session)

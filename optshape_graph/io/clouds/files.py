@@ -9,7 +9,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from optshape_graph.errors import InputError
+from optshape_graph.errors import InputError, expect
 from optshape_graph.io._isolated import read_isolated
 from optshape_graph.io.clouds.binary import read_binary
 from optshape_graph.io.clouds.columns import Columns
@@ -103,6 +103,7 @@ def read_scan(
         InputError: a form that is not known, a file that is not what it seems, or columns that make no scan.
         MissingExtraError: the library for LAS or E57 is absent.
     """
+    expect("path", path, str, Path)
     return make_scan(read_columns(path, columns), sensor, unused=unused)
 
 

@@ -42,6 +42,9 @@ SWEEP_JITTER = np.radians(0.2)
 MOST_SWEEPS = 256
 """Beams of the largest sensors."""
 
+ENOUGH_RETURNS = 1 << 14
+"""Returns that tell the elevations of all beams; of a larger cloud as many are looked at, of each beam its share."""
+
 LARGEST_STRAY_SHARE = 0.1
 """Share of returns between the rows of a table that still fits."""
 
@@ -68,8 +71,12 @@ def rings_of_ids(points: Floats, ids: Ints, sensor: SensorModel | None, name: st
     """
     counts = np.bincount(ids)
     present = np.flatnonzero(counts)
-    inverse, counts = np.asarray(np.cumsum(counts > 0) - 1)[ids], counts[present]
-    elevation = _elevations(points)
+    beam = np.asarray(np.cumsum(counts > 0) - 1)
+    sample = _sample(ids, counts[present])
+    inverse = beam[ids[sample]]
+    counts = np.bincount(inverse)
+    some = points[sample]
+    elevation = _elevations(some)
     if not _are_level(elevation, inverse):
         if sensor is not None:
             raise _misfit(name, sensor, "the returns of one beam are at many elevations")
@@ -78,14 +85,14 @@ def rings_of_ids(points: Floats, ids: Ints, sensor: SensorModel | None, name: st
     medians = _medians(elevation, inverse, len(present))
     noise = 3 * _MEDIAN_EFFICIENCY * float(np.std(elevation - medians[inverse])) / np.sqrt(counts)
     if sensor is not None:
-        ranges = _medians(np.linalg.norm(points, axis=1), inverse, len(present))
-        return _rows_of_table(present, medians, noise, ranges, sensor, name)[inverse]
+        ranges = _medians(np.linalg.norm(some, axis=1), inverse, len(present))
+        return _rows_of_table(present, medians, noise, ranges, sensor, name)[beam[ids]]
     rise, noise_of_rise = np.diff(medians), np.hypot(noise[1:], noise[:-1])
     if (rise > -noise_of_rise).all():
         return ids
     if (rise < noise_of_rise).all():
         return np.asarray(present[-1] - ids)
-    return np.argsort(np.argsort(medians))[inverse]
+    return np.argsort(np.argsort(medians))[beam[ids]]
 
 
 def rings_of_elevations(points: Floats, sensor: SensorModel, name: str) -> Ints:
@@ -150,6 +157,15 @@ def rings_by_firing(points: Floats, sensor: SensorModel | None, name: str) -> In
         return None
 
 
+def _sample(ids: Ints, counts: Ints) -> slice | NDArray[np.intp]:
+    """Which returns to look at: all, or of a large cloud every n-th of each beam, and its first."""
+    every = len(ids) // ENOUGH_RETURNS
+    if every < 2:
+        return slice(None)
+    order = np.argsort(ids.astype(np.uint16), kind="stable")  # of 16 bits: counted, not compared
+    return np.append(order[::every], order[np.cumsum(counts) - counts])
+
+
 def _elevations(points: Floats) -> Floats:
     return np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
 
@@ -193,7 +209,9 @@ def _rows_of_table(
     counted = [rows for rows in numberings if rows.min() >= 0 and rows.max() < n]
     misfits = [np.maximum(np.abs(medians - table[rows]) - noise, 0) for rows in counted]
     if misfits:
-        best = min(range(len(misfits)), key=lambda i: float(misfits[i].mean()))  # of equals the first
+        means = [float(misfit.mean()) for misfit in misfits]
+        chance = float(noise.mean()) / np.sqrt(len(noise))
+        best = next(i for i, mean in enumerate(means) if mean <= min(means) + chance)  # of equals the first
         if (misfits[best] <= COUNTED_TOLERANCE + _beam_origin(ranges)).all():
             return counted[best]
     nearest = sensor.nearest_ring(medians)

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph._arrays import Bools, Floats, Ints, owned
 from optshape_graph.errors import InputError
 from optshape_graph.io.clouds.columns import Columns, Role, roles
 from optshape_graph.io.clouds.rings import rings_by_firing, rings_of_elevations, rings_of_ids
 from optshape_graph.io.times import seconds_of_points
-from optshape_graph.scan import Scan
+from optshape_graph.scan import Scan, put_right
 from optshape_graph.sensor import SensorModel
 
 _LOG = logging.getLogger(__name__)
@@ -51,6 +51,7 @@ def make_scan(
       from the elevations when the sensor is known; else there are none. However a driver numbers them, they come out
       counted from the lowest elevation, and as rows of the sensor's table where the sensor is known (see `rings`).
       Livox's lines, beside which there is a tag, are lasers of a pattern without rings.
+    - Returns are put where a calibrated sensor's file says that they are (`put_right`).
     - Times have the unit that follows from name, type and size (see `times.seconds_of_points`).
 
     Args:
@@ -69,43 +70,50 @@ def make_scan(
         known = roles(columns.values)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
-    recorded = _points(known, columns)
-    there = (np.abs(recorded) < NO_RETURN_M).all(axis=1) & (recorded != 0).any(axis=1)  # False for NaN
+    points = _points(known, columns)
+    recorded = len(points)
+    squared = np.einsum("ij,ij->i", points, points)  # of the ranges
+    there = (squared > 0) & (squared < NO_RETURN_M**2)  # False for NaN
     if not there.any():
-        raise InputError(f"{name}: no returns ({len(recorded)} points, all at the origin, not finite, or out of reach)")
+        raise InputError(f"{name}: no returns ({recorded} points, all at the origin, not finite, or out of reach)")
     there = _without_noise(known, columns, there)
+    whole = bool(there.all())
 
     def column(role: str) -> NDArray[Any] | None:
         if role not in known:
             return None
         key = known[role].column
         values = columns.values[key]
-        if values.ndim != 1 and values.size != len(recorded):
+        if values.ndim != 1 and values.size != recorded:
             return None  # a matrix, or one number, beside the cloud
-        if values.size != len(recorded) or values.dtype.kind not in "iufb":
+        if values.size != recorded or values.dtype.kind not in "iufb":
             raise InputError(
-                f"{name}: expected '{key}' as {len(recorded)} numbers, found {values.dtype} of shape {values.shape}"
+                f"{name}: expected '{key}' as {recorded} numbers, found {values.dtype} of shape {values.shape}"
             )
-        return np.asarray(values.reshape(-1)[there])
+        return np.asarray(values.reshape(-1) if whole else values.reshape(-1)[there])
 
-    points = recorded[there]
-    _check_frame(points, name)
+    if not whole:
+        points, squared = points[there], squared[there]
+    _check_frame(points, squared, name)
+    del squared  # memory is what limits the largest clouds
+    ring = _rings(columns, None if is_livox(known) else column("ring"), points, there, sensor)
     intensity, time = column("intensity"), column("time")
     seconds = None
     if time is not None:
-        seconds = seconds_of_points(time, known["time"].unit, stamp, np.arctan2(points[:, 1], points[:, 0]))
+        seconds = seconds_of_points(time, known["time"].unit, stamp, points)
         if seconds is None:
             _LOG.warning("%s: times of points that are not times; read without them", name)
     if unused is not None:
         unused.update(unused_columns(columns, known, seconds is not None))
-    return Scan(
-        points,
-        _rings(columns, None if is_livox(known) else column("ring"), points, there, sensor),
-        None if intensity is None else intensity.astype(np.float64),
-        seconds,
+    scan = Scan(
+        owned(points, np.float64),
+        owned(ring, np.int64),
+        None if intensity is None else owned(intensity.astype(np.float64), np.float64),
+        owned(seconds, np.float64),
         sensor,
         name,
     )
+    return put_right(scan)
 
 
 def unused_columns(columns: Columns, known: dict[str, Role], with_times: bool) -> list[str]:
@@ -158,34 +166,37 @@ def _without_noise(known: dict[str, Role], columns: Columns, there: Bools) -> Bo
 
 
 def _points(known: dict[str, Role], columns: Columns) -> Floats:
-    """(N, 3) points, metres."""
+    """(N, 3) points, metres, a copy."""
     values, name = columns.values, columns.name
     if {"x", "y", "z"} <= known.keys():
         axes = [values[known[axis].column].reshape(-1) for axis in "xyz"]
         if len({len(axis) for axis in axes}) > 1 or any(axis.dtype.kind not in "iuf" for axis in axes):
             raise InputError(f"{name}: expected x, y, z as numbers, as many of each")
-        return np.column_stack(
-            [axis.astype(np.float64) * _scale(known[k]) for axis, k in zip(axes, "xyz", strict=True)]
-        )
+        points = np.empty((len(axes[0]), 3))
+        for i, (axis, key) in enumerate(zip(axes, "xyz", strict=True)):
+            points[:, i] = axis
+            if known[key].unit is not None:
+                points[:, i] *= _scale(known[key])
+        return points
     if "xyz" not in known:
         found = ", ".join(list(values)[:24]) or "none"
         raise InputError(f"{name}: expected columns x, y, z, or one of N x 3 called xyz or points; found: {found}")
     key = known["xyz"].column
-    points = values[key]
-    if points.ndim < 2 or points.shape[-1] != 3 or points.dtype.kind not in "iuf":
-        raise InputError(f"{name}: '{key}' is {points.dtype} of shape {points.shape}, expected N x 3 numbers")
-    return points.reshape(-1, 3).astype(np.float64) * _scale(known["xyz"])
+    rows = values[key]
+    if rows.ndim < 2 or rows.shape[-1] != 3 or rows.dtype.kind not in "iuf":
+        raise InputError(f"{name}: '{key}' is {rows.dtype} of shape {rows.shape}, expected N x 3 numbers")
+    return rows.reshape(-1, 3).astype(np.float64) * _scale(known["xyz"])
 
 
 def _scale(role: Role) -> float:
     return 1.0 if role.unit is None else role.unit
 
 
-def _check_frame(points: Floats, name: str) -> None:
-    """Refuse millimetres, and coordinates of a map."""
-    distance = float(np.median(np.linalg.norm(points, axis=1)))
-    if distance <= FARTHEST_M:
+def _check_frame(points: Floats, squared: Floats, name: str) -> None:
+    """Refuse millimetres, and coordinates of a map; `squared` (N,) are the ranges' squares."""
+    if 2 * np.count_nonzero(squared > FARTHEST_M**2) < len(points):
         return
+    distance = float(np.sqrt(np.median(squared)))
     centre = np.median(points, axis=0)
     spread = float(np.median(np.linalg.norm(points - centre, axis=1)))
     around = float(np.linalg.norm(centre)) < spread
@@ -221,6 +232,8 @@ def integers(ids: NDArray[Any], name: str) -> Ints:
     Raises:
         InputError: one is negative, too large, or no integer.
     """
+    if ids.dtype.kind in "ub" and ids.dtype.itemsize <= 2:
+        return ids.astype(np.int64)
     wrong = ~((ids >= 0) & (ids < 1 << 16))  # of NaN too
     if wrong.any() or (ids != ids.astype(np.int64)).any():
         bad = ids[wrong][0] if wrong.any() else ids[ids != ids.astype(np.int64)][0]

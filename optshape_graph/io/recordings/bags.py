@@ -14,7 +14,7 @@ from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io.clouds import make_scan
 from optshape_graph.io.recordings import messages, packets
-from optshape_graph.io.recordings.decompression import bound_rosbags
+from optshape_graph.io.recordings.decompression import bounded_readers
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.recordings.topics import Kind, Topic
 from optshape_graph.sensor import SensorModel
@@ -211,11 +211,9 @@ class Bag:
     @contextmanager
     def _open(self) -> Iterator[Any]:
         try:
-            from rosbags.rosbag1 import Reader as Reader1
-            from rosbags.rosbag2 import Reader as Reader2
+            Reader1, Reader2 = bounded_readers()
         except ImportError as cause:
             raise missing_extra("rosbags", "ros", cause) from cause
-        bound_rosbags()
         try:
             reader: Any = Reader1(self.path) if self.ros == 1 else Reader2(self.path)
             reader.open()

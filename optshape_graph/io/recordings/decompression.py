@@ -1,12 +1,13 @@
 """Bounds on what a bag's compressed parts become: a thousand bytes can hold a thousand million.
 
-rosbags decompresses a chunk or a message whole, whatever it makes. Its tables of decompressors take bounded ones here.
+rosbags decompresses a chunk or a message whole, whatever it makes. Copies of its readers have bounded decompressors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from importlib.util import find_spec, module_from_spec
 from types import SimpleNamespace
 from typing import Any
 
@@ -39,19 +40,32 @@ def bounded(decompressor: Callable[[], Any], data: bytes) -> bytes:
 
 
 @cache
-def bound_rosbags() -> None:
-    """Put bounded decompressors in the place of rosbags' own, once in a process."""
+def bounded_readers() -> tuple[Any, Any]:
+    """Return the readers of ROS 1 and of ROS 2 bags, with bounded decompressors.
+
+    They are of copies of rosbags' modules, so that whoever else uses rosbags in this process has it as it is.
+    """
     from bz2 import BZ2Decompressor
 
     from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # no stubs
-    from rosbags.rosbag1 import reader as rosbag1
-    from rosbags.rosbag2 import reader as rosbag2
-    from rosbags.rosbag2 import storage_mcap
 
-    zstd: Any = storage_mcap.zstd  # type: ignore[attr-defined]  # the standard library's, or its backport
+    rosbag1, rosbag2 = _copy("rosbags.rosbag1.reader"), _copy("rosbags.rosbag2.reader")
+    mcap = _copy("rosbags.rosbag2.storage_mcap")
+    zstd = mcap.zstd  # the standard library's, or its backport
     rosbag1.decompressors["bz2"] = lambda data: bounded(BZ2Decompressor, data)
     rosbag1.decompressors["lz4"] = lambda data: bounded(LZ4FrameDecompressor, data)
-    storage_mcap.DECOMPRESSORS["lz4"] = lambda data, _: bounded(LZ4FrameDecompressor, data)
-    storage_mcap.DECOMPRESSORS["zstd"] = lambda data, _: bounded(zstd.ZstdDecompressor, data)
-    of_messages = SimpleNamespace(open=zstd.open, decompress=lambda data: bounded(zstd.ZstdDecompressor, data))
-    setattr(rosbag2, "zstd", of_messages)  # noqa: B010 - the stubs know it as a module
+    mcap.DECOMPRESSORS["lz4"] = lambda data, _: bounded(LZ4FrameDecompressor, data)
+    mcap.DECOMPRESSORS["zstd"] = lambda data, _: bounded(zstd.ZstdDecompressor, data)
+    rosbag2.DirectoryReader.STORAGE_PLUGINS["mcap"] = rosbag2.Reader.STORAGE_PLUGINS[".mcap"] = mcap.McapReader
+    rosbag2.zstd = SimpleNamespace(open=zstd.open, decompress=lambda data: bounded(zstd.ZstdDecompressor, data))
+    return rosbag1.Reader, rosbag2.Reader
+
+
+def _copy(name: str) -> Any:
+    """Return a module with globals of its own."""
+    spec = find_spec(name)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

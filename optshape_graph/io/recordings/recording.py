@@ -65,6 +65,10 @@ class Recording:
         """Return the frame that the scans of a topic are in; empty where the recording does not say."""
         return self._source.frame(self.topic("scan", scan_topic)) if isinstance(self._source, Bag) else ""
 
+    def static_transforms(self) -> dict[tuple[str, str], Floats]:
+        """Return T_parent_child (4, 4), by names of parent and child; empty where the recording has none."""
+        return self._source.static_transforms() if isinstance(self._source, Bag) else {}
+
     def topic(self, kind: Kind, name: str | None = None) -> Topic:
         """Return the topic of a kind and name, or the only one of a kind.
 

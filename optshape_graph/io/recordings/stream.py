@@ -7,6 +7,7 @@ from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -17,6 +18,12 @@ T = TypeVar("T")
 
 LOOKAHEAD = 8
 """Number of following stamps that decide whether a stamp is in order."""
+
+SETTLED = 4
+"""Number of following stamps that tell a clock that was set back from a message that is late."""
+
+SET_BACK = 1.0
+"""Seconds by which a clock is set back at least, to be followed: topics of different rates must agree on it."""
 
 ROUNDING = 1e-6
 """Stamps of an epoch in seconds are rounded to a quarter of this, as 64-bit floats."""
@@ -76,6 +83,19 @@ class Skipped(Counter[str]):
         return ", ".join(said) or "nothing skipped"
 
 
+@dataclass(frozen=True)
+class Jump:
+    """A clock was set back while it was recorded.
+
+    Attributes:
+        stamp: what it showed before, seconds.
+        seconds: by how much it was set back.
+    """
+
+    stamp: float
+    seconds: float
+
+
 class Stream(Generic[T]):
     """Stamped values in order of time, read one by one while it is iterated.
 
@@ -85,18 +105,70 @@ class Stream(Generic[T]):
     Attributes:
         name: the file and topic, for messages.
         expected: number of messages that the recording says there are, or None.
+        follow: whether a clock that is set back is followed, later stamps being those that it would have shown;
+            otherwise messages from then on are skipped until it is where it was.
         skipped: number of messages skipped by reason, of the latest iteration.
+        jumps: of the clock that were followed, of the latest iteration.
     """
 
-    def __init__(self, name: str, read: Callable[[Skipped], Iterator[Stamped[T]]], expected: int | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        read: Callable[[Skipped], Iterator[Stamped[T]]],
+        expected: int | None = None,
+        follow: bool = False,
+    ) -> None:
         self.name = name
         self.expected = expected
+        self.follow = follow
         self.skipped = Skipped()
+        self.jumps: list[Jump] = []
         self._read = read
 
     def __iter__(self) -> Iterator[Stamped[T]]:
-        self.skipped = Skipped()
-        return in_order(self._read(self.skipped), self.skipped, self.name)
+        self.skipped, self.jumps = Skipped(), []
+        items = self._read(self.skipped)
+        return in_order(followed(items, self.jumps) if self.follow else items, self.skipped, self.name)
+
+    def following(self) -> Stream[T]:
+        """Return the same stream, a clock that is set back followed."""
+        return Stream(self.name, self._read, self.expected, follow=True)
+
+
+def followed(items: Iterable[Stamped[T]], jumps: list[Jump]) -> Iterator[Stamped[T]]:
+    """Yield the items, stamped as if their clock had not been set back: it went on by its usual step.
+
+    It was set back where a stamp and those that follow, in order, lie before what it has shown, by a second or more.
+
+    Args:
+        items: in the order of recording.
+        jumps: to add those to that were followed.
+    """
+    window: deque[Stamped[T]] = deque()
+    recent: deque[float] = deque(maxlen=LOOKAHEAD + 1)
+    shift = 0.0
+
+    def settle() -> Stamped[T]:
+        nonlocal shift
+        item = window.popleft()
+        run = [item.stamp + shift, *(later.stamp + shift for later in window)]
+        if len(recent) > SETTLED and len(run) > SETTLED and all(a < b for a, b in pairwise(run)):
+            step = float(np.median(np.diff(recent)))
+            last = max(stamp for stamp in recent if stamp <= np.median(recent) + LOOKAHEAD * step)
+            back = last + step - run[0]
+            if run[SETTLED] <= last and back >= SET_BACK:
+                jumps.append(Jump(last - shift, back))
+                shift += back
+                recent.clear()
+        recent.append(item.stamp + shift)
+        return Stamped(recent[-1], item.value) if shift else item
+
+    for item in items:
+        window.append(item)
+        if len(window) > LOOKAHEAD:
+            yield settle()
+    while window:
+        yield settle()
 
 
 def in_order(items: Iterable[Stamped[T]], skipped: Skipped, where: str) -> Iterator[Stamped[T]]:

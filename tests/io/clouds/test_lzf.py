@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 
+import lzf
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from optshape_graph import InputError
-from optshape_graph.io.clouds.lzf import lzf_decompress
+from optshape_graph.io.clouds.lzf import decompress_slowly, lzf_decompress
 
 
 def compress(data: bytes) -> bytes:
@@ -50,7 +51,25 @@ def test_output_of_liblzf() -> None:
 
 @given(st.lists(st.sampled_from([b"a", b"bc", b"ring", b"0" * 300, bytes(range(256))]), max_size=8).map(b"".join))
 def test_round_trip(data: bytes) -> None:
-    assert lzf_decompress(compress(data), len(data)) == data
+    assert lzf_decompress(compress(data), len(data)) == decompress_slowly(compress(data), len(data)) == data
+
+
+@given(st.binary(max_size=2000))
+def test_what_the_library_compresses(data: bytes) -> None:
+    packed = lzf.compress(data, 2 * len(data) + 64)
+    if packed:
+        assert lzf_decompress(packed, len(data)) == decompress_slowly(packed, len(data)) == data
+
+
+@given(st.binary(max_size=200), st.integers(1, 2000))
+def test_library_and_fallback_take_the_same(data: bytes, size: int) -> None:
+    outcomes = []
+    for decompress in (lzf_decompress, decompress_slowly):
+        try:
+            outcomes.append(decompress(data, size))
+        except InputError:
+            outcomes.append(None)
+    assert outcomes[0] == outcomes[1]
 
 
 @given(st.binary(max_size=200), st.integers(0, 2000))

@@ -36,7 +36,7 @@ def test_arrays_come_as_they_are(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     arrays = {"xyz": np.arange(6.0).reshape(2, 3), "ring": np.array([1, 2], "u1"), "name": np.array("x")}
     for save in (np.savez, np.savez_compressed):
-        save(path, **arrays)  # type: ignore[arg-type]
+        save(path, **arrays)
         found = read_npz(path).values
         assert list(found) == list(arrays)
         for name, values in arrays.items():

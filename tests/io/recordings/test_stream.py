@@ -1,9 +1,11 @@
 import itertools
 
+import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped, Stream, in_order
+from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped, Stream, followed, in_order
 
 
 def kept(stamps: list[float]) -> tuple[list[float], Skipped]:
@@ -81,3 +83,28 @@ def test_nothing_beyond_the_lookahead_is_read_before_it_is_wanted():
 
     next(in_order(items(), Skipped(), "test"))
     assert len(read) <= 9
+
+
+@pytest.mark.parametrize("back", [1.5, 37.0, 1e9])
+def test_a_clock_that_is_set_back_is_followed(back):
+    rng = np.random.default_rng(0)
+    true = 1.7e9 + 0.1 * np.arange(60)
+    shown = np.where(np.arange(60) < 25, true, true - back) + 1e-4 * rng.normal(size=60)
+    stream = Stream("test", lambda _: iter([Stamped(float(s), k) for k, s in enumerate(shown)]))
+    assert len(list(stream)) < 60  # as any other consumer has it
+    following = stream.following()
+    items = list(following)
+    assert [item.value for item in items] == list(range(60))
+    np.testing.assert_allclose([item.stamp for item in items], true, atol=1e-3)
+    [jump] = following.jumps
+    assert jump.seconds == pytest.approx(back, abs=1e-3)
+    assert jump.stamp == pytest.approx(true[24], abs=1e-3)
+
+
+def test_late_and_wrong_stamps_are_no_jumps():
+    good = [k * 0.1 for k in range(40)]
+    for wrong in ([0.3], [2.0, 1.9], [9999.0], [-5.0, -4.9]):
+        stamps = [*good[:30], *wrong, *good[30:]]
+        jumps = []
+        assert [item.stamp for item in followed([Stamped(s, None) for s in stamps], jumps)] == stamps
+        assert not jumps

@@ -1,29 +1,56 @@
-"""What pages take from the package itself when they are built: the commands with their help, the schemas."""
+"""A Markdown extension for what pages take from the package itself: the commands with their help, the schemas."""
 
 from __future__ import annotations
 
+import inspect
 import json
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any
 
 import click
+from markdown import Markdown
+from markdown.extensions import Extension
+from markdown.preprocessors import Preprocessor
 
-COMMANDS = "<!-- commands -->\n"
-SCHEMAS = "<!-- schemas -->\n"
-"""Lines that all commands, and all schemas, replace."""
+FIRST = 200
+"""Before all else that reads the lines of a page."""
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Put what the package says in place of the marks of a page."""
-    if COMMANDS in markdown:
-        from optshape_graph.cli.main import cli
+class FromPackage(Preprocessor):
+    """Puts what the package says in place of the marks of a page."""
 
-        root = click.Context(cli, info_name="optshape", terminal_width=100)
-        markdown = markdown.replace(COMMANDS, "\n".join(command_sections(root, "")))
-    if SCHEMAS in markdown:
-        markdown = markdown.replace(SCHEMAS, "\n".join(schema_sections()))
-    return markdown
+    def run(self, lines: list[str]) -> list[str]:
+        """Return the lines of a page, its marks replaced."""
+        found: list[str] = []
+        for line in lines:
+            mark = re.fullmatch(r"<!-- (\w+)(?: ([\w.]+))? -->", line)
+            made = MARKS[mark[1]](*filter(None, [mark[2]])) if mark else [line]
+            found += [part for text in made for part in text.split("\n")]
+        return found
+
+
+class FromPackageExtension(Extension):
+    """Adds `FromPackage`."""
+
+    def extendMarkdown(self, md: Markdown) -> None:
+        """Register the preprocessor."""
+        md.preprocessors.register(FromPackage(md), "from_package", FIRST)
+
+
+def makeExtension(**options: Any) -> Extension:
+    """Return the extension: what Python-Markdown asks a module for."""
+    return FromPackageExtension(**options)
+
+
+def all_commands() -> Iterator[str]:
+    """Yield a section for every command."""
+    from optshape_graph.cli.main import cli
+
+    yield from command_sections(click.Context(cli, info_name="optshape", terminal_width=100), "")
 
 
 def command_sections(context: click.Context, name: str) -> Iterator[str]:
@@ -95,3 +122,33 @@ def described(node: dict[str, Any], schema: dict[str, Any]) -> str:
     """Return what a value means: what is said of it here, and of the form that it refers to."""
     said = [node.get("description", ""), *(form.get("description", "") for form in forms(node, schema))]
     return " ".join(dict.fromkeys(text for text in said if text)).replace("|", "\\|")
+
+
+def public_names(package: str) -> Iterator[str]:
+    """Yield the rows of a table: what a package's `__all__` names, or else what its modules define, in a line each."""
+    yield "| name | |\n|---|---|"
+    module = import_module(package)
+    if hasattr(module, "__all__"):
+        found = [(f"{package}.{name}", name, getattr(module, name)) for name in module.__all__]
+    else:
+        inner = (import_module(f"{package}.{info.name}") for info in iter_modules(module.__path__))
+        found = [
+            (f"{one.__name__}.{name}", f"{one.__name__.removeprefix(package + '.')}.{name}", value)
+            for one in inner
+            for name, value in vars(one).items()
+            if not name.startswith("_") and getattr(value, "__module__", "") == one.__name__
+        ]
+    for path, name, value in found:
+        if inspect.isclass(value) or inspect.isroutine(value):
+            first = (inspect.getdoc(value) or "").partition("\n")[0]
+            shown = first.replace("|", "\\|")
+            yield f"| [`{name}`][{path}] | {shown} |"
+    yield ""
+
+
+MARKS: dict[str, Callable[..., Iterator[str]]] = {
+    "commands": all_commands,
+    "schemas": schema_sections,
+    "names": public_names,
+}
+"""What makes the lines that stand for `<!-- MARK ARGUMENT -->`."""

@@ -8,17 +8,22 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 from optshape_graph import Scan
-from optshape_graph.edges import extract_edge_points
+from optshape_graph.azimuth_grid import level_rings, place_on_firings
+from optshape_graph.chords import chords, sight_planes
+from optshape_graph.edges import EdgePoints, extract_edge_points
 from optshape_graph.io import load_target
 from optshape_graph.pose import PoseOptions
-from optshape_graph.pose.azimuth_grid import level_rings, place_on_firings
-from optshape_graph.pose.likelihood import Firings
-from optshape_graph.pose.rays import chords, sight_planes
+from optshape_graph.pose.firings import Firings
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 from optshape_graph.simulation.reference import reference_sensor
 
 TARGET = load_target("paper")
-LOST = PoseOptions().lost_ends_of_rays
+OPTIONS = PoseOptions()
+LOST = OPTIONS.lost_ends_of_rays
+
+
+def of(scan: Scan, ends: EdgePoints) -> Firings:
+    return Firings.of(scan, ends, OPTIONS.flatness, OPTIONS.lost_ends_of_rays, OPTIONS.lost_span)
 
 
 def firings_of(level: int, distance: float, seed: int) -> tuple[Firings, np.ndarray, Scan]:
@@ -30,7 +35,7 @@ def firings_of(level: int, distance: float, seed: int) -> tuple[Firings, np.ndar
     ends = place_on_firings(extract_edge_points(scan), scan, noise)
     poses = [T @ pose_from_rpy([0, *rng.normal(0, 0.02, 2)], [rng.normal(0, 0.03), 0, 0]) for _ in range(200)]
     corners = np.array([TARGET.vertices @ M[:3, :3].T + M[:3, 3] for M in poses])
-    return Firings.of(ends, scan), corners, scan
+    return of(scan, ends), corners, scan
 
 
 def brute(firings: Firings, corners: np.ndarray, common: bool, places: int = 960) -> np.ndarray:
@@ -86,7 +91,7 @@ def test_exact_azimuths_say_where_the_grid_is() -> None:
     """A ring above the target whose chord holds none of the grid's azimuths is no surprise; one that does, is."""
     T = pose_from_rpy([20.0, 0.0, 0.0], [0.0, 0.0, 0.0])
     scan = simulate_target(TARGET, reference_sensor(), T)
-    firings = Firings.of(extract_edge_points(scan), scan)
+    firings = of(scan, extract_edge_points(scan))
     corners = (TARGET.vertices @ T[:3, :3].T + T[:3, 3])[None]
     own = replace(firings, offset=firings.offset + np.arange(len(firings.offset)) * 0.37)
     assert firings.log_likelihood(corners)[0] >= own.log_likelihood(corners)[0]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optshape_graph.pose.noise import FINEST_STEP, outermost_return
+from optshape_graph.beam import FINEST_STEP, outermost_return
 
 
 @pytest.mark.parametrize("step", [0.25, 0.5, 0.8, 2.0])

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from optshape_graph.factors import TemplateMeasurement
 from optshape_graph.io import load_target
 from optshape_graph.pose import certify, estimate_pose, solve_relaxation
-from optshape_graph.pose.certificate import eliminate_translation, lower_bound, project_rotation
-from optshape_graph.pose.dual import closed_form_bounds
+from optshape_graph.pose.certificate import closed_form_bounds, eliminate_translation, lower_bound, project_rotation
 from tests.pose.clouds import recorded_cases, reference_cases, simulated
 from tests.pose.test_certificate import random_measurement
 from tests.shared import needs_shared
@@ -56,7 +55,8 @@ def test_three_backends_agree(sensor: str) -> None:
         for name in ("closed-form", "clarabel", "cvxpy")
     ]
     assert all(c.certified for c in certificates)
-    assert max(c.gap_m2 for c in certificates) <= 1e-5**2  # a hundredth of what is still certified
+    # A hundredth of what is still certified; cvxpy stops a hundred times earlier, see `test_cvxpy_agrees`.
+    assert max(c.gap_m2 for c in certificates[:2]) <= 1e-5**2
 
 
 @needs_shared

@@ -8,10 +8,10 @@ import pytest
 from scipy.stats import kstest
 
 from optshape_graph import Scan, SensorModel
+from optshape_graph.azimuth_grid import at_firing_times, level_rings, place_on_firings
 from optshape_graph.edges import EdgePoints, extract_edge_points
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import estimate_pose
-from optshape_graph.pose.azimuth_grid import at_firing_times, level_rings, place_on_firings
 from optshape_graph.simulation import IDEAL, NoiseModel, pose_from_rpy, simulate_target
 from tests.pose.clouds import simulated
 
@@ -99,7 +99,8 @@ def test_what_is_no_grid_keeps_its_extremes(what: str) -> None:
 
 
 def sensor_without_beam() -> SensorModel:
-    return replace(load_sensor("vlp32c"), range_noise=0.01, ring_bias=0.0, beam_divergence=0.0, beam_aperture=0.0)
+    return replace(load_sensor("vlp32c"), range_noise=0.01, ring_bias=0.0, beam_divergence=0.0, beam_aperture=0.0,
+                   elevation_error=0.0, azimuth_error=0.0)  # fmt: skip
 
 
 def test_exact_angles_are_left_alone() -> None:

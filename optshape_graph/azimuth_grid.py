@@ -16,7 +16,7 @@ import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.edges import EdgePoints, extreme_width, relative_azimuth
-from optshape_graph.gaussian import ndtr
+from optshape_graph.gaussian import f_tail, ndtr
 from optshape_graph.scan import Scan
 
 NEGLIGIBLE = 1e-4
@@ -192,3 +192,24 @@ def at_firing_times(scan: Scan) -> Scan:
         return scan
     turned = (scan.points[:, 0] + 1j * scan.points[:, 1]) * np.exp(-1j * phases * sensor.azimuth_step)
     return replace(scan, points=np.column_stack([turned.real, turned.imag, scan.points[:, 2]]))
+
+
+def tilt_of_rings(scan: Scan) -> tuple[float, float]:
+    """How elevations vary with azimuth within rings: rms, rad, of a line through each, and its probability by chance.
+
+    A ring is a cone about the sensor's own axis. In the frame of a vehicle, or after points were corrected for motion,
+    it is none.
+    """
+    assert scan.ring is not None
+    elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
+    azimuth, _ = relative_azimuth(scan.points)
+    _, column, counts = np.unique(scan.ring, return_inverse=True, return_counts=True)
+    off = elevation - (np.bincount(column, elevation) / counts)[column]
+    a = azimuth - (np.bincount(column, azimuth) / counts)[column]
+    square = np.bincount(column, a * a)
+    fitted = (np.bincount(column, a * off) / np.maximum(square, 1e-12))[column] * a
+    k = int((square > 1e-12).sum())
+    freedom = len(scan) - len(counts) - k
+    left = float(((off - fitted) ** 2).sum()) / max(freedom, 1)
+    F = float((fitted**2).sum()) / max(k, 1) / max(left, 1e-16)
+    return float(np.sqrt(np.mean(fitted**2))), f_tail(F, max(k, 1), freedom)

@@ -1,0 +1,108 @@
+"""A beam of some width at the edge of a target: which of its returns still lie on the target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import ClassVar
+
+import numpy as np
+
+from optshape_graph._arrays import Floats
+from optshape_graph.sensor import SensorModel
+
+
+@dataclass(frozen=True)
+class Beam:
+    """The width of a beam, and how ring ends scatter about an edge for it.
+
+    A return near an edge comes from part of the beam. Which part decides is a matter of reflectance and threshold,
+    so the edge seems to lie further out or in, across the edge: by something common to a scan, and by something
+    of each point's own, either uniform over at most the beam's width.
+
+    Attributes:
+        divergence: full angle, rad.
+        aperture: width where it leaves the sensor, metres.
+        blooming: standard deviation of the azimuth by which a scan's rings reach further on each side, rad.
+        offset: mean of the offset that all edge points of a scan share, in beam widths.
+        common: its standard deviation.
+    """
+
+    divergence: float
+    aperture: float
+    offset: float = SensorModel.edge_offset
+    common: float = SensorModel.edge_offset_sd
+    blooming: float = 0.0
+
+    OWN: ClassVar[float] = 1 / np.sqrt(12)
+    """Standard deviation of each edge point's own offset, in beam widths."""
+
+    @classmethod
+    def of(cls, sensor: SensorModel | None) -> Beam:
+        """Take the beam of a sensor; an unknown one has a beam of 3 mrad, a centimetre wide at first."""
+        if sensor is None:
+            return cls(3e-3, 0.01)
+        return cls(
+            sensor.beam_divergence, sensor.beam_aperture, sensor.edge_offset, sensor.edge_offset_sd, sensor.blooming
+        )
+
+    @property
+    def ideal(self) -> bool:
+        """Whether the beam has no width, so that it ends where the target does."""
+        return self.divergence + self.aperture == 0
+
+    def width(self, ranges: Floats) -> Floats:
+        """Width of the beam at ranges (...), metres; an ideal beam's still is a tenth of a millimetre."""
+        return np.maximum(self.aperture + self.divergence * ranges, 1e-4)
+
+    def offset_of_rays(self, ranges: Floats) -> float:
+        """Standard deviation of an offset across all edges that stands for blooming too, in beam widths.
+
+        Args:
+            ranges: (N,) metres.
+        """
+        return float(np.hypot(self.common, self.blooming / np.mean(self.width(ranges) / ranges)))
+
+
+FINEST_STEP = 0.2
+"""Step across an edge, in beam widths, below which a ring runs along it: where it ends is up to a vertex, not to the
+rays that happen to return, and counts as at this step."""
+
+
+def outermost_return(step: Floats) -> tuple[Floats, Floats]:
+    """How a ring's last return lies and scatters about an edge where several rays fall within the beam's width of it.
+
+    It is the outermost of those that happened to return: further out than a single ray would be, and scattering less.
+
+    Args:
+        step: (...) how far across the edge the ring's next ray is, in beam widths.
+
+    Returns:
+        How much further out it lies, in beam widths, and its scatter against that of a single ray, each (...).
+    """
+    steps, shift, share = _outermost()
+    step = np.maximum(step, FINEST_STEP)
+    return np.interp(step, steps, shift), np.interp(step, steps, share)
+
+
+@cache
+def _outermost() -> tuple[Floats, Floats, Floats]:
+    """The table behind `outermost_return`, by step.
+
+    Rays a step apart, in any phase, each return with a probability that falls from 1 to 0 over the beam's width. What
+    the phase itself shifts and scatters is taken out.
+    """
+    steps, phase = np.geomspace(FINEST_STEP, 1.0, 8), (np.arange(16) + 0.5) / 16
+    x = np.linspace(-1.5, 0.5, 401)
+    table = []
+    for step in steps:
+        place = step * (phase[:, None] + np.arange(-np.ceil(1.5 / step), np.ceil(0.5 / step) + 1))
+        returns = np.clip(0.5 - place, 0.0, 1.0)
+        # The outermost lies before x where no ray beyond x returns.
+        before = np.array([np.where(place > at, 1.0 - returns, 1.0).prod(axis=1).mean() for at in x])
+        middle, mass = 0.5 * (x[1:] + x[:-1]), np.diff(before)
+        mean = mass @ middle / mass.sum()
+        variance = mass @ middle**2 / mass.sum() - mean**2
+        table.append((mean + step / 2, np.sqrt(12.0 * max(variance - step**2 / 12.0, 0.0))))
+    shift, share = np.array(table).T
+    return steps, np.maximum(shift, 0.0), np.minimum(share, 1.0)

@@ -1,0 +1,158 @@
+"""What is known beside the returns: measured distances between boards, and motion capture.
+
+Free boards leave the mean range open; either of the two tells it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import E, H, M
+
+from optshape_graph._arrays import Floats
+from optshape_graph.calibration.mocap.graph import MarkerModel, marker_factor
+from optshape_graph.calibration.sensor.graph import Known
+from optshape_graph.calibration.sensor.placements import Placement
+from optshape_graph.errors import InputError
+from optshape_graph.factors import CheckedFactor
+from optshape_graph.se3 import apply, inverse, skew
+from optshape_graph.target import Target
+
+
+@dataclass(frozen=True)
+class Distance:
+    """A distance between points of two boards that was measured while both stood.
+
+    Attributes:
+        a: name of the one board, and the number of its vertex; None: its origin.
+        b: of the other.
+        metres: measured.
+        sd: standard deviation, metres.
+    """
+
+    a: tuple[str, int | None]
+    b: tuple[str, int | None]
+    metres: float
+    sd: float = 2e-3
+
+    @classmethod
+    def parsed(cls, a: str, b: str, metres: float | str, sd: float = 2e-3) -> Distance:
+        """Return the distance between points given as BOARD or BOARD/VERTEX.
+
+        Args:
+            a: the one point.
+            b: the other.
+            metres: between them.
+            sd: standard deviation, metres.
+
+        Raises:
+            InputError: a vertex that is no number, or a distance or standard deviation that is not positive.
+        """
+
+        def point(text: str) -> tuple[str, int | None]:
+            name, slash, vertex = text.partition("/")
+            if slash and not vertex.isdecimal():
+                raise InputError(f"'{text}': expected BOARD or BOARD/VERTEX, the vertex as its number from 0")
+            return name, int(vertex) if slash else None
+
+        try:
+            length = float(metres)
+        except ValueError:
+            length = -1.0
+        if not (0 < length < np.inf and 0 < sd < np.inf):
+            raise InputError(f"distance '{metres}' +- {sd} m between {a} and {b}: expected positive numbers")
+        return cls(point(a), point(b), length, sd)
+
+
+def known_beside(
+    placements: Sequence[Placement],
+    distances: Sequence[Distance] = (),
+    frames: Sequence[tuple[Sequence[int], Floats]] = (),
+    model: MarkerModel | None = None,
+) -> Known:
+    """Return the factors of distances and of markers.
+
+    Args:
+        placements: all of them; their numbers are those of the poses' keys.
+        distances: between boards; each holds wherever both were seen at once.
+        frames: of each motion-capture frame, the numbers of the placements that it saw, and about T_lidar_mocap (4, 4).
+        model: of the markers; None: the usual one.
+
+    Raises:
+        InputError: a distance to a board or a vertex that is not there, or between boards never seen at once.
+    """
+    factors, values, model = gtsam.NonlinearFactorGraph(), gtsam.Values(), model or MarkerModel()
+    for distance in distances:
+        pairs = _pairs(placements, distance)
+        if not pairs:
+            raise InputError(f"boards '{distance.a[0]}' and '{distance.b[0]}' were never seen at once")
+        for i, j in pairs:
+            a, b = (_point(placements[k].target, v) for k, (_, v) in ((i, distance.a), (j, distance.b)))
+            # One measurement: however often it is used, it says the same once.
+            factors.push_back(distance_factor(i, a, j, b, distance.metres, distance.sd * np.sqrt(len(pairs))))
+    layouts: dict[str, int] = {}
+    for frame, (numbers, T_lidar_mocap) in enumerate(frames):
+        values.insert(E(frame), gtsam.Pose3(T_lidar_mocap))
+        for p in numbers:
+            target, markers = placements[p].target, placements[p].markers
+            assert markers is not None
+            if layouts.setdefault(target.name, len(layouts)) > 0:
+                raise InputError(f"motion capture is used with one board; found {' and '.join(layouts)}")
+            factors.push_back(marker_factor(markers, p, model.noise, False, frame))
+    if layouts:
+        target = placements[frames[0][0][0]].target
+        near = gtsam.noiseModel.Isotropic.Sigma(3, model.layout_prior)
+        for k, vertex in enumerate(target.vertices):
+            values.insert(M(k), vertex)
+            factors.push_back(gtsam.PriorFactorPoint3(M(k), vertex, near))
+    return Known(factors, values)
+
+
+def distance_factor(i: int, a: Floats, j: int, b: Floats, metres: float, sd: float) -> gtsam.CustomFactor:
+    """Return the factor of a distance between points of two boards, in one LiDAR frame.
+
+    Args:
+        i: number of the one placement, of the key of T_target_lidar.
+        a: (3,) point, target frame, metres.
+        j: number of the other.
+        b: (3,) point, target frame, metres.
+        metres: between them.
+        sd: standard deviation, metres.
+    """
+
+    def evaluate(values: gtsam.Values) -> tuple[Floats, list[Floats]]:
+        p, q = (apply(inverse(values.atPose3(H(k)).matrix()), x[None])[0] for k, x in ((i, a), (j, b)))
+        length = float(np.linalg.norm(p - q))
+        u = (p - q) / max(length, 1e-9)
+        # (H Exp(xi))^-1 x = Exp(-xi) p
+        by_p, by_q = (np.hstack([skew(x), -np.eye(3)]) for x in (p, q))
+        return np.array([(length - metres) / sd]), [(u @ by_p)[None] / sd, -(u @ by_q)[None] / sd]
+
+    return CheckedFactor(evaluate, 1, [H(i), H(j)], [6, 6])
+
+
+def _pairs(placements: Sequence[Placement], distance: Distance) -> list[tuple[int, int]]:
+    """Numbers of the placements of both boards that were seen at once."""
+    names = {placement.target.name for placement in placements}
+    for name, _ in (distance.a, distance.b):
+        if name not in names:
+            raise InputError(f"distance to board '{name}', which was not seen; found {', '.join(sorted(names))}")
+    moments = [{one.moment for one in placement.sightings} for placement in placements]
+    return [
+        (i, j)
+        for i, one in enumerate(placements)
+        for j, other in enumerate(placements)
+        if one.target.name == distance.a[0] and other.target.name == distance.b[0] and i != j
+        and moments[i] & moments[j]
+    ]  # fmt: skip
+
+
+def _point(target: Target, vertex: int | None) -> Floats:
+    if vertex is None:
+        return np.zeros(3)
+    if vertex >= len(target):
+        raise InputError(f"board '{target.name}' has vertices 0 to {len(target) - 1}; found {vertex}")
+    return np.asarray(target.vertices[vertex])

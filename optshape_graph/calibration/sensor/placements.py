@@ -1,0 +1,228 @@
+"""Where boards stood still: from the scans of a session or a recording, target by target, revolution by revolution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from optshape_graph._arrays import Floats, Value
+from optshape_graph.calibration.mocap.session import load_mocap_scans
+from optshape_graph.detection import detect_targets
+from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.io.clouds import read_scan
+from optshape_graph.io.recordings import Recording
+from optshape_graph.io.sessions import Session
+from optshape_graph.pose import PoseEstimate, estimate_pose
+from optshape_graph.scan import Scan
+from optshape_graph.se3 import angle
+from optshape_graph.sensor import SensorModel
+from optshape_graph.target import Target
+
+ALIKE = np.radians(1.5)
+"""Up to this much the beams of a unit differ from its model's data sheet, rad."""
+
+STILL = (0.02, np.radians(2.0))
+"""Distance, metres, and angle, rad, from the run's first pose within which a board stands still: a step's noise. Who
+carries one moves it by more from a revolution to the next."""
+
+FEWEST_STILL = 4
+"""Revolutions for which a board of a recording stands still at least: fewer, and it may have been on its way."""
+
+MOST_REVOLUTIONS = 8
+"""Revolutions of a placement that take part, evenly spread: by then ring ends and ring errors limit it."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sighting(Value):
+    """A board in one scan.
+
+    Attributes:
+        moment: number of the scan.
+        name: of the scan.
+        estimate: its pose.
+        returns: its returns.
+        markers: (n, 3) motion-capture markers near its vertices, metres, NaN where not seen; None: none.
+    """
+
+    moment: int
+    name: str
+    estimate: PoseEstimate
+    returns: Scan
+    markers: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Placement(Value):
+    """A board that stood still for some revolutions.
+
+    Attributes:
+        sightings: of it, one for each revolution.
+    """
+
+    sightings: tuple[Sighting, ...]
+
+    @property
+    def target(self) -> Target:
+        """The board."""
+        return self.sightings[0].estimate.target
+
+    @property
+    def moment(self) -> int:
+        """Number of its first scan."""
+        return self.sightings[0].moment
+
+    @property
+    def distance(self) -> float:
+        """From the sensor, metres."""
+        return float(np.linalg.norm(self.sightings[0].estimate.T_lidar_target[:3, 3]))
+
+    @property
+    def markers(self) -> Floats | None:
+        """(n, 3) motion-capture markers, metres, or None."""
+        return self.sightings[0].markers
+
+    def __repr__(self) -> str:
+        return f"Placement({self.target.name!r} at {self.distance:.1f} m, {len(self.sightings)} revolutions)"
+
+
+def gather(sightings: Iterable[Sighting], fewest: int = 1) -> tuple[Placement, ...]:
+    """Return the placements of sightings in the order of time: runs in which a board stood still.
+
+    Args:
+        sightings: of all boards.
+        fewest: revolutions of a placement at least.
+    """
+    runs: dict[str, list[list[Sighting]]] = {}
+    for one in sightings:
+        of_target = runs.setdefault(one.estimate.target.name, [])
+        if of_target and one.markers is None and _still(of_target[-1][0], one):
+            of_target[-1].append(one)
+        else:
+            of_target.append([one])
+    placements = [
+        Placement(tuple(run[k] for k in _spread(len(run))))
+        for of_target in runs.values()
+        for run in of_target
+        if len(run) >= fewest
+    ]
+    return tuple(sorted(placements, key=lambda placement: placement.moment))
+
+
+def _still(first: Sighting, one: Sighting) -> bool:
+    a, b = first.estimate.T_lidar_target, one.estimate.T_lidar_target
+    sd = first.estimate.sigma_m + one.estimate.sigma_m, first.estimate.sigma_rad + one.estimate.sigma_rad
+    moved, turned = float(np.linalg.norm(a[:3, 3] - b[:3, 3])), float(angle(a[:3, :3].T @ b[:3, :3]))
+    return moved < STILL[0] + 2 * sd[0] and turned < STILL[1] + 2 * sd[1]
+
+
+def _spread(n: int) -> list[int]:
+    return [int(k) for k in np.linspace(0, n - 1, min(n, MOST_REVOLUTIONS)).round()]
+
+
+def one_lidar(session: Session, lidar: str | None, sensor: SensorModel | None) -> tuple[Session, SensorModel]:
+    """Return a session of one of its LiDARs alone, and that LiDAR's sensor.
+
+    Args:
+        session: of any LiDARs.
+        lidar: which one; None: the only one.
+        sensor: that it is; None: as the session has it.
+
+    Raises:
+        InputError: several LiDARs and none named, none of that name, or a sensor of another model.
+    """
+    if lidar is None and len(session.lidars) != 1:
+        raise InputError(f"{session.path}: one LiDAR is calibrated at a time; name one of {', '.join(session.lidars)}")
+    name = next(iter(session.lidars)) if lidar is None else lidar
+    if name not in session.lidars:
+        raise InputError(f"{session.path}: no LiDAR '{name}'; found {', '.join(session.lidars)}")
+    its = session.lidars[name]
+    if sensor is None:
+        sensor = its
+    elif its.n_rings != sensor.n_rings or np.abs(its.elevations - sensor.elevations).max() > ALIKE:
+        raise InputError(f"{session.path}: its sensor '{its.name}' is another model than '{sensor.name}'")
+    views = tuple(view for view in session.views if view.lidar == name)
+    return replace(session, lidars={name: sensor}, views=views), sensor
+
+
+def of_session(
+    session: Session, targets: Sequence[Target], use_target_points: bool, progress: Callable[[int, int], None]
+) -> tuple[tuple[Placement, ...], list[str]]:
+    """Return the placements of a session's views, and what was left out, in words.
+
+    Args:
+        session: of one LiDAR; with motion capture, whose scans hold the target's returns alone, or with whole scans.
+        targets: to look for; none: those of the session.
+        use_target_points: take the crops by hand instead of looking for the boards.
+        progress: called with the number of scans done, and their total.
+
+    Raises:
+        InputError: a scan or markers that can't be read.
+    """
+    if session.mocap is not None:
+        scans, left_out, _ = load_mocap_scans(session, progress=progress)
+        sightings = [
+            Sighting(k, scan.name, scan.estimate, scan.returns, scan.markers)
+            for k, scan in enumerate(scans)
+            if scan.estimate.status == "ok" and scan.returns is not None
+        ]
+        return gather(sightings), [f"{item.scan}: {item.reason}" for item in left_out]
+    left_out_views: list[str] = []
+    sensor = next(iter(session.lidars.values()))
+
+    def seen() -> Iterator[Sighting]:
+        for k, view in enumerate(session.views):
+            progress(k, len(session.views))
+            wanted = targets or [session.targets[target] for target in view.targets]
+            crop = view.target_points if use_target_points else None
+            scan = read_scan(crop or view.cloud, sensor)
+            found = list(_cropped(k, scan, wanted) if crop else _detected(k, scan, wanted))
+            if not found:
+                left_out_views.append(f"{view.cloud.name}: no board found")
+            yield from found
+
+    return gather(seen()), left_out_views
+
+
+def of_recording(
+    recording: Recording,
+    topic: str | None,
+    targets: Sequence[Target],
+    sensor: SensorModel,
+    progress: Callable[[int, int], None],
+) -> tuple[tuple[Placement, ...], list[str]]:
+    """Return the placements of a recording, and what was left out, in words.
+
+    Args:
+        recording: of one LiDAR that stands still, or is moved between placements only.
+        topic: of its scans; None: the only one.
+        targets: to look for.
+        sensor: that made it.
+        progress: called with the number of scans done, and their total.
+    """
+    stream = recording.scans(topic, sensor)
+
+    def seen() -> Iterator[Sighting]:
+        for k, stamped in enumerate(stream):
+            progress(k, stream.expected or k + 1)
+            yield from _detected(k, stamped.value, targets)
+
+    placements = gather(seen(), FEWEST_STILL)
+    return placements, [str(stream.skipped)] if stream.skipped else []
+
+
+def _detected(moment: int, scan: Scan, targets: Sequence[Target]) -> Iterator[Sighting]:
+    for found in detect_targets(scan, targets).found:
+        if found.estimate.status == "ok":
+            yield Sighting(moment, scan.name, found.estimate, scan.select(found.indices))
+
+
+def _cropped(moment: int, returns: Scan, targets: Sequence[Target]) -> Iterator[Sighting]:
+    for target in targets[:1]:
+        try:
+            estimate = estimate_pose(returns, target)
+        except EstimationError:
+            return
+        if estimate.status == "ok":
+            yield Sighting(moment, returns.name, estimate, returns)

@@ -1,0 +1,11 @@
+"""What `optshape` starts with: signals end it in one line from here on, before anything heavy is imported."""
+
+from optshape_graph.runs.interruption import end_on_signals
+
+
+def main() -> None:
+    """Run the command line."""
+    end_on_signals()
+    from optshape_graph.cli.main import main
+
+    main()

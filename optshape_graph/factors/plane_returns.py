@@ -1,0 +1,152 @@
+"""All returns of a target against its plane, with the noise and the biases of the sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph.edges import leftward, upward
+from optshape_graph.factors.measurement import template_rows
+from optshape_graph.factors.static import BRIGHTNESS, RANGE_BIAS, BiasedMeasurement, SharedError, angle_errors
+from optshape_graph.scan import Scan
+from optshape_graph.sensor import SensorModel, angle_sds
+from optshape_graph.target import FLATNESS
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlaneReturns(Value):
+    """Every return against the plane of the target: e_x . (R p + t) - c, with its noise.
+
+    A range error moves a return along its ray, and so moves the residual and the row's own coefficients together:
+    rows of the returns themselves would be biased (errors in variables), most of all across the rings, where nothing
+    but the errors varies within a ring. So p is where the ray meets a plane near the true one, and c carries the rest.
+
+    Attributes:
+        points: (N, 3) p, metres, LiDAR frame.
+        offset: (N,) c, metres.
+        sigma: (N,) standard deviation of each residual, metres.
+        errors: (K,) what the returns share: the range bias of each ring that hit the target.
+        bias: (N, K) how far a standard deviation of each moves each residual, in units of `sigma`.
+        coupling: (N, 3) covariance of each residual with its p, square metres: an azimuth error moves both.
+    """
+
+    points: Floats
+    offset: Floats
+    sigma: Floats
+    errors: tuple[SharedError, ...]
+    bias: Floats
+    coupling: Floats
+
+    def select(self, mask: Bools) -> PlaneReturns:
+        """Return some of them, of a mask (N,)."""
+        rows = {name: getattr(self, name)[mask] for name in ("points", "offset", "sigma", "bias", "coupling")}
+        return replace(self, **rows)
+
+    def with_angles(self, normal: Floats, ring: Ints, sensor: SensorModel | None) -> PlaneReturns:
+        """Return them with an error of each ring's elevation and of its azimuth.
+
+        Args:
+            normal: (3,) unit normal of the plane, LiDAR frame.
+            ring: (N,) of each return.
+            sensor: says how large they are.
+        """
+        up, left = angle_sds(sensor, ring)
+        columns, errors = angle_errors(
+            up * (upward(self.points) @ normal) / self.sigma, left * (leftward(self.points) @ normal) / self.sigma, ring
+        )
+        return replace(self, errors=(*self.errors, *errors), bias=np.hstack([self.bias, columns]))
+
+    def with_brightness(self, normal: Floats, sigma: float) -> PlaneReturns:
+        """Return them with a range bias that all share, of a standard deviation in metres.
+
+        Args:
+            normal: (3,) unit normal of the plane, LiDAR frame.
+            sigma: metres.
+        """
+        moved = sigma * np.abs(self.points @ normal) / np.linalg.norm(self.points, axis=1) / self.sigma
+        errors = (*self.errors, SharedError(BRIGHTNESS))
+        return replace(self, errors=errors, bias=np.column_stack([self.bias, moved]))
+
+    def with_bands(self, points: Floats, counts: Sequence[int]) -> PlaneReturns:
+        """Return them with range biases at several scales.
+
+        Lasers, each with a range bias, are not told apart in a cloud without rings, and a bias may drift with the
+        direction: beside one for all, bands of elevation, broad and narrow, stand for them. One scale alone would take
+        the slopes within its bands, or those between them, for certain.
+
+        Args:
+            points: (N, 3) the returns, metres, LiDAR frame.
+            counts: number of bands at each scale.
+        """
+        elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+        lowest, extent = float(elevation.min()), max(float(np.ptp(elevation)), 1e-9)
+        columns, errors = [self.bias], [*self.errors]
+        for count in counts:
+            band = elevation_bands(points, count)
+            found = np.unique(band)
+            columns.append(self.bias * (band[:, None] == found) / np.sqrt(len(counts)))
+            limits = lowest + extent * np.column_stack([found, found + 1]) / count
+            errors += [SharedError(RANGE_BIAS, band=(low, high)) for low, high in limits.tolist()]
+        return replace(self, bias=np.hstack(columns), errors=tuple(errors))
+
+    def widened(self, noise: float, bias: float) -> PlaneReturns:
+        """Return them with noise and biases that are so many times as large."""
+        return replace(self, sigma=noise * self.sigma, bias=bias / noise * self.bias)
+
+
+def elevation_bands(points: Floats, count: int) -> Ints:
+    """(N,) band of elevation of each of points (N, 3), metres, of `count` that are equally wide."""
+    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    fraction = (elevation - elevation.min()) / max(float(np.ptp(elevation)), 1e-9)
+    return np.asarray(np.minimum((fraction * count).astype(np.int64), count - 1))
+
+
+def returns_on_plane(
+    scan: Scan, normal: Floats, distance: float, azimuth_noise: float = 0.0, flatness: float = FLATNESS
+) -> PlaneReturns:
+    """Set returns against a plane near the target's.
+
+    Args:
+        scan: the returns of one target; without rings, all have one bias. Its sensor has range noise and ring bias; an
+            unknown one a centimetre each.
+        normal: (3,) unit normal of the plane, LiDAR frame.
+        distance: of the plane from the sensor along the normal, metres.
+        azimuth_noise: standard deviation of one azimuth, rad.
+        flatness: standard deviation of the target itself about its plane, metres.
+    """
+    points, sensor = scan.points, scan.sensor
+    range_noise, ring_bias = 0.01, np.full(len(points), 0.01)
+    if sensor is not None:
+        known = scan.ring is not None and scan.ring.max(initial=0) < sensor.n_rings
+        range_noise = sensor.range_noise
+        ring_bias = sensor.range_bias_sds[scan.ring] if known else np.full(len(points), sensor.ring_bias)
+    along = points @ normal
+    cosine = np.abs(along) / np.linalg.norm(points, axis=1)
+    turning = leftward(points)
+    sideways = turning @ normal  # off the plane, metres per radian of azimuth
+    sigma = np.sqrt((range_noise * cosine) ** 2 + (azimuth_noise * sideways) ** 2 + flatness**2)
+    rings, column = np.unique(np.zeros(len(points), int) if scan.ring is None else scan.ring, return_inverse=True)
+    bias = np.zeros((len(points), len(rings)))
+    bias[np.arange(len(points)), column] = ring_bias * cosine / sigma
+    errors = tuple(SharedError(RANGE_BIAS, ring=None if scan.ring is None else int(ring)) for ring in rings)
+    in_plane = turning - points * (sideways / along)[:, None]
+    coupling = azimuth_noise**2 * sideways[:, None] * in_plane
+    return PlaneReturns(points * (distance / along)[:, None], distance - along, sigma, errors, bias, coupling)
+
+
+def plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
+    """Returns against the target's plane, before the errors that they share, in standard deviations, are marginalised.
+
+    Where a residual and its row's coefficients err together, the gradient has a mean at the true pose, the sum of their
+    covariances; the constants take it out.
+    """
+    normals = np.broadcast_to([1.0, 0.0, 0.0], returns.points.shape)
+    A, r = template_rows(returns.points, normals, returns.offset)
+    A, r = A / returns.sigma[:, None], r / returns.sigma
+    mean, _ = template_rows(returns.coupling, normals, returns.offset)
+    mean[:, 9:] = 0.0
+    r = r - A @ np.linalg.lstsq(A.T @ A, (mean / returns.sigma[:, None] ** 2).sum(axis=0), rcond=1e-12)[0]
+    return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4), returns.errors)

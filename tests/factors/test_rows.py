@@ -1,0 +1,38 @@
+"""Reduction of stacked rows: the same quadratic form, upper triangular, however the columns hang together."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optshape_graph.factors._rows import MANY_COLUMNS, triangular, triangular_by_parts
+
+
+@given(
+    st.integers(MANY_COLUMNS, 60), st.integers(0, 400), st.floats(0.0, 0.2), st.booleans(), st.integers(0, 2**32 - 1)
+)
+def test_parts_make_the_same_form(k: int, m: int, share: float, prior: bool, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    stack = rng.normal(size=(m, k + 13))
+    stack[:, :k] *= rng.random((m, k)) < share
+    if prior:
+        stack = np.vstack([np.eye(k, k + 13), stack])
+    reduced, expected = triangular_by_parts(stack, k), triangular(stack)
+    assert reduced.shape == (k + 13, k + 13)
+    np.testing.assert_array_equal(np.tril(reduced, -1), 0.0)
+    np.testing.assert_allclose(
+        reduced.T @ reduced, expected.T @ expected, atol=1e-12 * max(1.0, float((stack**2).sum()))
+    )
+
+
+@pytest.mark.parametrize("rings", [30, 128])
+def test_rings_with_two_errors_each(rings: int) -> None:
+    """Columns as detection makes them: range biases of all rings, then their elevations, each in its ring's rows only."""
+    rng, ring = np.random.default_rng(rings), np.repeat(np.arange(rings), 20)
+    k, rows = 2 * rings, np.arange(len(ring))
+    stack = np.zeros((len(ring), k + 13))
+    stack[rows, ring], stack[rows, rings + ring] = rng.normal(size=(2, len(ring)))
+    stack[:, k:] = rng.normal(size=(len(ring), 13))
+    reduced = triangular_by_parts(stack, k)
+    np.testing.assert_allclose(reduced.T @ reduced, stack.T @ stack, atol=1e-10)
+    assert np.count_nonzero(reduced[:k, :k]) == 3 * rings, "no ring knows another's errors"
