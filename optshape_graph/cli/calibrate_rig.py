@@ -9,14 +9,14 @@ import click
 
 from optshape_graph.cli.console import say, say_passed_over, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import Number, force_option, outside_option
+from optshape_graph.cli.options import Number, example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
     from optshape_graph.calibration.rig import RigCalibration
 
 
-@click.command()
+@click.command(epilog=example("optshape calibrate rig session.yaml --json rig.json --report rig.html --export rig"))
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
 @report_option

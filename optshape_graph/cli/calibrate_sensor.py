@@ -9,7 +9,7 @@ import click
 
 from optshape_graph.cli.console import say, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import FILE, POSITIVE, force_option, outside_option
+from optshape_graph.cli.options import FILE, POSITIVE, example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from optshape_graph.io import Session
 
 
-@click.command()
+@click.command(epilog=example("optshape calibrate sensor boards.bag paper square@1 --sensor vlp32c -o mine.yaml"))
 @click.argument("source", type=click.Path(path_type=Path), metavar="RECORDING|SESSION.yaml")
 @click.argument("targets", nargs=-1, metavar="[TARGET]...")
 @click.option("--also", multiple=True, type=click.Path(path_type=Path), metavar="RECORDING|SESSION.yaml",

@@ -133,10 +133,6 @@ class Outputs:
             self.folder(option, path.parent, [path.name])
             self._force = forced
 
-    def is_input(self, path: Path) -> bool:
-        """Whether a file is one that the command reads."""
-        return _identity(path) in self._inputs
-
     def _check_name(self, option: str, path: Path, journaled: bool = False) -> None:
         try:
             place = path.resolve()

@@ -70,19 +70,23 @@ def _rig_sightings(document: Mapping[str, Any]) -> Table:
     return Table("Sightings, each placement predicted by the others", columns, tuple(rows))
 
 
-def _rings(document: Mapping[str, Any]) -> Table:
-    keys = ("range_bias_mm", "range_bias_sd_mm", "elevation_off_deg", "elevation_sd_deg", "before_mm", "after_mm")
-    rows = [
-        (str(one["ring"]), *("-" if one[key] is None else _number(one[key]) for key in keys))
-        for one in document["rings"]
-    ]
-    columns = ("ring", "range mm", "sd", "elevation deg", "sd", "off others mm, before", "after")
-    return Table("Rings, and how far their returns are off boards that took no part", columns, tuple(rows))
-
-
 def _mocap_scans(document: Mapping[str, Any]) -> Table:
     rows = [(one["scan"], _mm(one["rmse_m"]), _mm(one["e_t_m"]), f"{one['e_r_deg']:.2f}") for one in document["scans"]]
     return Table("Scans, each in a frame fitted to the others", ("scan", "RMSE mm", "e_t mm", "e_r deg"), tuple(rows))
+
+
+def _rings(document: Mapping[str, Any]) -> Table:
+    keys = ("range_bias_mm", "range_bias_sd_mm")
+    angles = ("elevation_off_deg", "elevation_sd_deg", "azimuth_off_deg", "azimuth_sd_deg")
+    rows = [
+        (
+            str(ring["ring"]), *(f"{ring[key]:.1f}" for key in keys), *(f"{ring[key]:.3f}" for key in angles),
+            _number(ring["before_mm"]), _number(ring["after_mm"]),
+        )
+        for ring in document["rings"]
+    ]  # fmt: skip
+    columns = ("ring", "range mm", "sd", "elevation deg", "sd", "azimuth deg", "sd", "before mm", "after mm")
+    return Table("Rings against the given file, and off boards that took no part", columns, tuple(rows))
 
 
 def _camera_views(document: Mapping[str, Any]) -> Table:

@@ -156,7 +156,7 @@ class Seen(Value):
         middle = edges.points.mean(axis=0)
         ray = R @ (middle / np.linalg.norm(middle))
         yz = (edges.points @ R.T + T_target_lidar[:3, 3])[:, 1:]
-        by_angle, angles = angle_errors(g.lifted[0], g.turned[0], edges.ring)
+        by_angle, angles = angle_errors(g.lifted[0], g.turned[0], edges.ring, problem.sensor)
         B = np.column_stack(
             [
                 by_angle,
@@ -252,7 +252,7 @@ class EdgeRows(Value):
 
 def _own(g: EdgeGeometry) -> Floats:
     """(M,) variance of each ring end about its residual, what its ring's angles add left out, m2."""
-    return np.asarray(g.own[0] - g.lifted[0] ** 2 - g.turned[0] ** 2)
+    return np.asarray(g.own[0] - g.of_ring[0])
 
 
 def of_placement(seen: Sequence[Seen], T_target_lidar: Floats) -> BiasedMeasurement:
