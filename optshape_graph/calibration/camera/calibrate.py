@@ -18,7 +18,7 @@ from optshape_graph.calibration.camera.consistency import (
     squared_distances,
 )
 from optshape_graph.calibration.camera.evidence import CrossValidation, ViewErrors, view_errors
-from optshape_graph.calibration.camera.factors import CompiledCamera
+from optshape_graph.calibration.camera.factors import LENS, CompiledCamera
 from optshape_graph.calibration.camera.graph import CalibrationGraph, Discrepancy, Rig, Sighting, Unknowns
 from optshape_graph.calibration.camera.judgement import judge
 from optshape_graph.calibration.camera.lens import check_lenses
@@ -123,12 +123,8 @@ def calibrate(
         raise EstimationError(f"no view of {', '.join(missing)} agrees with those of the other sensors")
     scans = [s for s in start.sightings if s.sensor == base and used & set(s.views)]
     # What is not known of the lenses, refined or not, is part of what is not known of the cameras' places. With a lens
-    # that is not quite as given, scans and images differ by more than they scatter: it is the lesser of both scatters.
-    most_likely, free_scatter = _settled(everything_free, start, best, used)
-    discrepancy = Discrepancy(
-        min(discrepancy.rotation, free_scatter.rotation), min(discrepancy.translation, free_scatter.translation)
-    )
-    most_likely = everything_free.solve(used.__contains__, most_likely, discrepancy)
+    # that is not quite as given, scans and images differ by more than they scatter: settled with the lens free.
+    most_likely, discrepancy = _settled(everything_free, start, best, used, len(LENS) * len(cameras))
     uncertainty = everything_free.uncertainty(used.__contains__, most_likely, discrepancy)
     check_observable(uncertainty, middle(scans))
     graph = graph_as_they_come(refined)
@@ -237,12 +233,14 @@ def _solve_robustly(
     return rig, used, squared, discrepancy
 
 
-def _settled(graph: CalibrationGraph, start: Start, rig: Rig, used: set[int]) -> tuple[Rig, Discrepancy]:
+def _settled(
+    graph: CalibrationGraph, start: Start, rig: Rig, used: set[int], fitted: int = 0
+) -> tuple[Rig, Discrepancy]:
     """Solve over the used views with the discrepancy that the solution itself shows."""
-    discrepancy = estimate_discrepancy(start.sightings, rig, used)
+    discrepancy = estimate_discrepancy(start.sightings, rig, used, fitted)
     for _ in range(SETTLING):
         rig = graph.solve(used.__contains__, rig, discrepancy)
-        previous, discrepancy = discrepancy, estimate_discrepancy(start.sightings, rig, used)
+        previous, discrepancy = discrepancy, estimate_discrepancy(start.sightings, rig, used, fitted)
         if _alike(previous, discrepancy):
             break
     return rig, discrepancy

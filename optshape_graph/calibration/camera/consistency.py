@@ -64,16 +64,17 @@ def scatter(squared: Mapping[int, float], used: set[int]) -> float:
     return max(1.0, float(np.median([squared[view] for view in used if view in squared] or [MEDIAN])) / MEDIAN)
 
 
-def estimate_discrepancy(sightings: Sequence[Sighting], rig: Rig, used: set[int]) -> Discrepancy:
+def estimate_discrepancy(sightings: Sequence[Sighting], rig: Rig, used: set[int], fitted: int = 0) -> Discrepancy:
     """Estimate what the scans' poses scatter beyond their covariances, by comparing them with the images'.
 
     The restricted likelihood of the differences x_v ~ N(0, C_v + D): the extrinsic was fitted to them, which takes one
-    view's worth of freedom.
+    view's worth of freedom, and perhaps lenses.
 
     Args:
         sightings: of all views.
         rig: fitted to the used ones.
         used: numbers of the views to compare.
+        fitted: number of parameters of lenses that were fitted to them, too.
     """
     pairs = [(scan, image) for scan, image in (of_view(v, sightings) for v in sorted(used)) if scan and image]
     if len(pairs) < 2:
@@ -83,7 +84,7 @@ def estimate_discrepancy(sightings: Sequence[Sighting], rig: Rig, used: set[int]
         [difference(base[i.sensor] @ pose_alone(i, rig), base[s.sensor] @ pose_alone(s, rig)) for s, i in pairs]
     )
     C = np.stack([s.covariance + i.covariance for s, i in pairs])
-    share = (len(pairs) - 1) / len(pairs)
+    share = max(len(pairs) - 1 - fitted / 6, 1.0) / len(pairs)
 
     def cost(log_sigmas: Floats) -> float:
         total = C + np.diag(np.repeat(np.exp(2 * log_sigmas), 3))

@@ -53,7 +53,7 @@ def solved(sessions: int, square: bool) -> tuple[np.ndarray, np.ndarray, float]:
 def test_covariances_are_not_too_small() -> None:
     """The transform for clouds as they come is as honest as the one for corrected ranges."""
     normalised, biases, _ = solved(15, square=True)
-    assert (normalised.mean(axis=0) < 1.25).all()
+    assert (normalised.mean(axis=0) < 1.38).all()  # of chi-square with 90 degrees, over them, 99 % are below
     assert np.sqrt(np.mean(np.square(biases))) < 1.6  # of 15: its own sd is 0.18
 
 
