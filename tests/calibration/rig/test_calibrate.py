@@ -83,7 +83,7 @@ def test_ring_errors_are_estimated_beside(rig, result):
     (sensor,) = [one for one in result.sensors if one.name == "rear"]
     for kind, truth in (
         ("range bias", rig.range_bias["rear"] / rig.lidars["rear"].ring_bias),
-        ("elevation", rig.elevation["rear"] / rig.lidars["rear"].elevation_error),
+        ("elevation", rig.angle_errors["rear"].elevation / rig.lidars["rear"].elevation_error),
     ):
         known = [ring for ring in sensor.rings if ring.kind == kind and ring.sigma < 0.5]
         assert len(known) > 8
