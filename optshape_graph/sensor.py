@@ -50,6 +50,9 @@ class SensorModel(Value):
         elevation_sd: (R,) of each ring's elevation, rad; None: `elevation_error`.
         azimuth_sd: (R,) of each ring's azimuth offset, rad; None: `azimuth_error`.
         firing_sd: (R,) of each ring's firing phase; None: 0.
+        common_range_sd: standard deviation of a range bias that all rings have beside their own, metres.
+        common_elevation_sd: the same of elevations, rad.
+        common_azimuth_sd: the same of azimuths, rad.
         reported_elevations: (R,) rad, those of the driver's table, with which points come; None: `elevations`.
         reported_azimuth_offsets: (R,) rad, likewise; None: `azimuth_offsets`.
         edge_offset: how far inside an edge the returns end, beside the step, in beam widths: mean of all edges.
@@ -84,6 +87,9 @@ class SensorModel(Value):
     elevation_sd: Floats | None = None
     azimuth_sd: Floats | None = None
     firing_sd: Floats | None = None
+    common_range_sd: float = 0.0
+    common_elevation_sd: float = 0.0
+    common_azimuth_sd: float = 0.0
     reported_elevations: Floats | None = None
     reported_azimuth_offsets: Floats | None = None
     edge_offset: float = 0.0
@@ -112,6 +118,9 @@ class SensorModel(Value):
             "blooming",
             "azimuth_error",
             "edge_offset_sd",
+            "common_range_sd",
+            "common_elevation_sd",
+            "common_azimuth_sd",
             "beam_divergence",
             "beam_aperture",
             "beam_crossing",
@@ -226,7 +235,12 @@ class SensorModel(Value):
 
 
 def angle_sds(sensor: SensorModel | None, ring: Ints) -> tuple[Floats, Floats]:
-    """Return standard deviations (N,) of elevations and of azimuths of rings (N,), rad; sensor None: an unknown one."""
+    """Return standard deviations (N,) of what rings (N,) have of their own in elevation and in azimuth, rad.
+
+    Args:
+        sensor: None: an unknown one.
+        ring: (N,).
+    """
     if sensor is None or ring.max(initial=0) >= sensor.n_rings:
         return np.full(len(ring), ELEVATION_ERROR), np.full(len(ring), AZIMUTH_ERROR)
     return sensor.elevation_sds[ring], sensor.azimuth_sds[ring]

@@ -1,6 +1,7 @@
 """The sensor model: its checks, and the nearest ring."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,32 @@ def test_nearest_ring(elevations: list[float]) -> None:
     nearest = np.abs(np.array(elevations)[:, None] - sensor.elevations).min(axis=1)
     found = np.abs(np.array(elevations) - sensor.elevations[sensor.nearest_ring(elevations)])
     np.testing.assert_allclose(found, nearest, atol=1e-15)
+
+
+def test_put_right_leaves_nothing_to_put_right() -> None:
+    table = load_sensor("vlp16")
+    sensor = replace(
+        table, range_bias=np.full(16, 0.01), elevations=table.elevations + 1e-3, reported_elevations=table.elevations,
+        azimuth_offsets=np.full(16, 2e-3), reported_azimuth_offsets=np.zeros(16),
+    )  # fmt: skip
+    bias, elevation, azimuth = sensor.deviations
+    np.testing.assert_allclose([bias[0], elevation[0], azimuth[0]], [0.01, 1e-3, 2e-3], atol=1e-12)
+    again = sensor.put_right
+    assert all((part == 0).all() for part in again.deviations)
+    assert again.put_right is again
+    np.testing.assert_array_equal(sensor.as_reported.elevations, table.elevations)
+    assert table.put_right is table
+
+
+def test_how_far_angles_are_off() -> None:
+    table = load_sensor("vlp16")
+    np.testing.assert_allclose(np.degrees(table.elevation_sds), 0.05)
+    plain = SensorModel(np.array([0.0, 0.1]))
+    assert (plain.elevation_sds == 0).all()  # a beam without width is a simulator's
+    wide = replace(plain, beam_divergence=1e-3)
+    np.testing.assert_allclose(np.degrees([wide.elevation_sds[0], wide.azimuth_sds[0]]), [0.1, 0.05])
+    fired = replace(table, firing_sd=np.full(16, 0.5))
+    np.testing.assert_allclose(np.degrees(fired.azimuth_sds), np.hypot(0.05, 0.1))
 
 
 def test_one_ring() -> None:

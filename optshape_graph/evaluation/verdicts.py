@@ -135,6 +135,17 @@ def _mocap(document: Mapping[str, Any]) -> Verdict:
     return Verdict(level, sentence, (*advice, *map(str, document.get("warnings", ()))))
 
 
+def _sensor(document: Mapping[str, Any]) -> Verdict:
+    rings = [ring for ring in document["rings"] if ring["before_mm"] is not None]
+    before, after = (float(np.sqrt(np.mean([ring[key] ** 2 for ring in rings]))) for key in ("before_mm", "after_mm"))
+    sentence = (
+        f"{len(document['placements'])} placements: rings are {after:.1f} mm off boards that took no part, "
+        f"{before:.1f} mm by the given file"
+    )
+    level = _level(str(document["verdict"]), document["warnings"], len(document["placements"]))
+    return Verdict(level, sentence, tuple(map(str, document["warnings"])))
+
+
 def _camera(document: Mapping[str, Any]) -> Verdict:
     left_out = document["cross_validation"]
     used = [view for view in document["views"] if view["used"]]
@@ -292,6 +303,7 @@ _JUDGES: dict[str, Callable[[Mapping[str, Any]], Verdict]] = {
     "estimate": _estimate,
     "detect": _detect,
     "mocap": _mocap,
+    "sensor-calibration": _sensor,
     "camera-calibration": _camera,
     "rig": _rig,
     "map": _map,

@@ -59,6 +59,10 @@ if TYPE_CHECKING:
         BRIGHTNESS,
         EDGE_OFFSET,
         ELEVATION,
+        OF_SENSOR,
+        COMMON_RANGE,
+        COMMON_ELEVATION,
+        COMMON_AZIMUTH,
         OF_RINGS,
         AZIMUTH,
         RANGE_BIAS,
@@ -81,8 +85,8 @@ _HOME = {
     "sensor_parameters": "AugmentedMeasurement SensorParameterFactor azimuth_directions "
     "edge_motion_rows plane_motion_rows range_directions",
     "shape": "FreeVertexFactor ShapeFactor ShapeMeasurement TemplatePrior VertexFactor shape_rows",
-    "static": "AZIMUTH BLOOMING BRIGHTNESS BiasedMeasurement EDGE_OFFSET "
-    "ELEVATION OF_RINGS RANGE_BIAS SharedError fuse_static ring_bias_columns",
+    "static": "AZIMUTH BLOOMING BRIGHTNESS BiasedMeasurement COMMON_AZIMUTH COMMON_ELEVATION COMMON_RANGE EDGE_OFFSET "
+    "ELEVATION OF_RINGS OF_SENSOR RANGE_BIAS SharedError fuse_static ring_bias_columns",
     "summary": "LandmarkFactor Summary SummaryFactor summarise",
     "template": "PointToEdgeFactor PointToPlaneFactor TemplateCallbackFactor TemplateFactor",
 }
@@ -92,6 +96,10 @@ __all__ = [
     "BRIGHTNESS",
     "EDGE_OFFSET",
     "ELEVATION",
+    "OF_SENSOR",
+    "COMMON_RANGE",
+    "COMMON_ELEVATION",
+    "COMMON_AZIMUTH",
     "OF_RINGS",
     "AZIMUTH",
     "RANGE_BIAS",

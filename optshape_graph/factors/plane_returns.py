@@ -10,9 +10,16 @@ import numpy as np
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.edges import leftward, upward
 from optshape_graph.factors.measurement import template_rows
-from optshape_graph.factors.static import BRIGHTNESS, RANGE_BIAS, BiasedMeasurement, SharedError, angle_errors
+from optshape_graph.factors.static import (
+    BRIGHTNESS,
+    COMMON_RANGE,
+    RANGE_BIAS,
+    BiasedMeasurement,
+    SharedError,
+    angle_errors,
+)
 from optshape_graph.scan import Scan
-from optshape_graph.sensor import SensorModel, angle_sds
+from optshape_graph.sensor import SensorModel
 from optshape_graph.target import FLATNESS
 
 
@@ -46,17 +53,20 @@ class PlaneReturns(Value):
         return replace(self, **rows)
 
     def with_angles(self, normal: Floats, ring: Ints, sensor: SensorModel | None) -> PlaneReturns:
-        """Return them with an error of each ring's elevation and of its azimuth.
+        """Return them with errors of each ring's elevation and azimuth, and of all ranges together.
 
         Args:
             normal: (3,) unit normal of the plane, LiDAR frame.
             ring: (N,) of each return.
             sensor: says how large they are.
         """
-        up, left = angle_sds(sensor, ring)
         columns, errors = angle_errors(
-            up * (upward(self.points) @ normal) / self.sigma, left * (leftward(self.points) @ normal) / self.sigma, ring
+            upward(self.points) @ normal / self.sigma, leftward(self.points) @ normal / self.sigma, ring, sensor
         )
+        if sensor is not None and sensor.common_range_sd > 0:
+            cosine = np.abs(self.points @ normal) / np.linalg.norm(self.points, axis=1)
+            columns = np.column_stack([columns, sensor.common_range_sd * cosine / self.sigma])
+            errors = (*errors, SharedError(COMMON_RANGE))
         return replace(self, errors=(*self.errors, *errors), bias=np.hstack([self.bias, columns]))
 
     def with_brightness(self, normal: Floats, sigma: float) -> PlaneReturns:

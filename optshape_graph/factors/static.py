@@ -27,6 +27,7 @@ from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, marginalised, root, triangular, triangular_by_parts
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
+from optshape_graph.sensor import SensorModel, angle_sds
 from optshape_graph.se3 import adjoint, inverse, vec_derivative
 
 
@@ -63,6 +64,10 @@ the returns at all edges lie; and of where between two rings the target ends."""
 
 OF_RINGS = (RANGE_BIAS, ELEVATION, AZIMUTH)
 """Kinds of errors that a ring of a sensor keeps, in all scans of it."""
+
+COMMON_RANGE, COMMON_ELEVATION, COMMON_AZIMUTH = "common range bias", "common elevation", "common azimuth"
+OF_SENSOR = (COMMON_RANGE, COMMON_ELEVATION, COMMON_AZIMUTH, EDGE_OFFSET)
+"""Kinds of errors that all rings of a sensor have in common, in all scans of it."""
 
 BRIGHTNESS, BLOOMING = "range bias by brightness", "blooming"
 """Kinds of errors that a surface's brightness makes: of all its ranges; and of how much further its rings reach."""
@@ -268,26 +273,35 @@ class BiasedMeasurement(Value):
         return TemplateMeasurement.from_stack(R[k:, k:], self.n_rows, self.T_target_lidar)
 
     def of_one_scan(self) -> TemplateMeasurement:
-        """Return the measurement of one scan alone: the elevations of its rings count as exact.
-
-        What an error of theirs does to one scan is within what its ring ends scatter; of many it would be the mean's
-        error.
-        """
+        """Return the measurement of one scan alone: all errors are its own."""
         return self.marginal(1.0)
 
 
-def angle_errors(by_elevation: Floats, by_azimuth: Floats, ring: Ints) -> tuple[Floats, tuple[SharedError, ...]]:
-    """Return what errors of rings' elevations and azimuths do to rows, as columns (N, 2 R), and the errors (2 R,).
+def angle_errors(
+    by_elevation: Floats, by_azimuth: Floats, ring: Ints, sensor: SensorModel | None
+) -> tuple[Floats, tuple[SharedError, ...]]:
+    """Return what errors of rings' elevations and azimuths do to rows, as columns (N, K), and the errors (K,).
 
     Args:
-        by_elevation: (N,) how far a standard deviation of its ring's elevation moves each row, in the rows' unit.
+        by_elevation: (N,) how far each row moves with its ring's elevation, in the rows' unit per radian.
         by_azimuth: (N,) the same of its azimuth.
         ring: (N,) of each row.
+        sensor: says how large the errors are.
     """
     rings, column = np.unique(ring, return_inverse=True)
     own = column[:, None] == np.arange(len(rings))
-    columns = np.hstack([by_elevation[:, None] * own, by_azimuth[:, None] * own])
-    return columns, tuple(SharedError(kind, ring=int(k)) for kind in (ELEVATION, AZIMUTH) for k in rings)
+    up, left = angle_sds(sensor, ring)
+    columns = [(up * by_elevation)[:, None] * own, (left * by_azimuth)[:, None] * own]
+    errors = [SharedError(kind, ring=int(k)) for kind in (ELEVATION, AZIMUTH) for k in rings]
+    if sensor is not None:
+        for kind, sd, by in (
+            (COMMON_ELEVATION, sensor.common_elevation_sd, by_elevation),
+            (COMMON_AZIMUTH, sensor.common_azimuth_sd, by_azimuth),
+        ):
+            if sd > 0:
+                columns.append(sd * by[:, None])
+                errors.append(SharedError(kind))
+    return np.hstack(columns), tuple(errors)
 
 
 def fuse_static(measurements: Sequence[BiasedMeasurement], sigma: ArrayLike) -> TemplateMeasurement:

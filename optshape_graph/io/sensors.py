@@ -19,6 +19,7 @@ from optshape_graph.sensor import SensorModel
 _METRES = {
     "range_noise_m": "range_noise",
     "ring_bias_m": "ring_bias",
+    "common_range_bias_m_sd": "common_range_sd",
     "brightness_bias_m": "brightness_bias",
     "beam_aperture_m": "beam_aperture",
     "beam_crossing_m": "beam_crossing",
@@ -33,6 +34,8 @@ _DEGREES = {
     "beam_divergence_deg": "beam_divergence",
     "elevation_error_deg": "elevation_error",
     "azimuth_error_deg": "azimuth_error",
+    "common_elevation_deg_sd": "common_elevation_sd",
+    "common_azimuth_deg_sd": "common_azimuth_sd",
     "blooming_deg": "blooming",
 }
 """Keys of angles, likewise."""

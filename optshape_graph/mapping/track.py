@@ -17,14 +17,14 @@ from optshape_graph.factors import (
     TemplateMeasurement,
     summarise,
 )
-from optshape_graph.factors.static import EDGE_OFFSET, OF_RINGS, RANGE_BIAS
+from optshape_graph.factors.static import OF_RINGS, OF_SENSOR, RANGE_BIAS
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
 from optshape_graph.pose import PoseEstimate, PoseOptions
 from optshape_graph.se3 import PoseLike, as_transform, inverse
 from optshape_graph.target import Target
 
-KEPT = (*OF_RINGS, EDGE_OFFSET)
+KEPT = (*OF_RINGS, *OF_SENSOR)
 """Kinds of errors that a LiDAR keeps from scan to scan: of its rings, and how far in the returns at edges lie."""
 
 LOOSEST = 10.0
@@ -287,7 +287,7 @@ def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
         [
             error
             for error in estimate.shared.shared
-            if error.kind not in KEPT or (error.ring is None and error.kind != EDGE_OFFSET)
+            if error.kind not in KEPT or (error.ring is None and error.kind not in OF_SENSOR)
         ]
     )
     return kept.rescaled(RANGE_BIAS, 1.0 / estimate.fit.bias_factor)

@@ -96,7 +96,11 @@ class Problem(Value):
         shift = (shift - self.beam.offset) * across
         up, left = angle_sds(self.sensor, edges.ring)
         by_angle = direction @ R
-        lifted, turned = up * (by_angle * upward(p)).sum(axis=-1), left * (by_angle * leftward(p)).sum(axis=-1)
+        lifted, turned = (by_angle * upward(p)).sum(axis=-1), (by_angle * leftward(p)).sum(axis=-1)
+        of_ring = (up * lifted) ** 2 + (left * turned) ** 2
+        if self.sensor is not None:
+            common = self.sensor.common_elevation_sd, self.sensor.common_azimuth_sd
+            of_ring = of_ring + (common[0] * lifted) ** 2 + (common[1] * turned) ** 2
         own = self.options.flatness**2 + (self.beam.OWN * scatter * across) ** 2 + (edges.scatter * along) ** 2
         return EdgeGeometry(
             labels=labels,
@@ -105,7 +109,8 @@ class Problem(Value):
             along=along,
             across=across,
             shift=shift,
-            own=own + lifted**2 + turned**2,
+            own=own + of_ring,
+            of_ring=of_ring,
             lifted=lifted,
             turned=turned,
         )
@@ -162,8 +167,8 @@ class EdgeGeometry(Value):
         across: (C, M) how fast it grows with the offset across the edge, metres per beam width.
         shift: (C, M) how much further out the last return lies than a single ray would, metres.
         own: (C, M) variance across the edge, quantisation apart, m2: each edge point's own, and its ring's.
-        lifted: (C, M) how far a standard deviation of its ring's elevation moves each edge point across its edge, in
-            metres.
+        of_ring: (C, M) the part of it that errors of elevations and azimuths make, m2.
+        lifted: (C, M) how far each edge point moves across its edge with its ring's elevation, metres per radian.
         turned: (C, M) the same of its azimuth.
     """
 
@@ -174,6 +179,7 @@ class EdgeGeometry(Value):
     across: Floats
     shift: Floats
     own: Floats
+    of_ring: Floats
     lifted: Floats
     turned: Floats
 

@@ -242,7 +242,7 @@ def coverage(evidence: Evidence, T_target_lidar: Floats, further: float) -> Cove
     beyond_left, beyond_right = left - edges.azimuth[::2], edges.azimuth[1::2] - right
     # A ring that looks elsewhere than the table says ends elsewhere, far from there where it runs along the edge.
     at = evidence.problem.geometry(T_target_lidar[None])
-    elsewhere = 2 * np.hypot(at.lifted[0], at.turned[0]) / np.maximum(np.abs(at.along[0]), 1e-6)
+    elsewhere = 2 * np.sqrt(at.of_ring[0]) / np.maximum(np.abs(at.along[0]), 1e-6)
     slack_left, slack_right = slack + elsewhere[::2], slack + elsewhere[1::2]
     azimuth, _ = relative_azimuth(scan.points)
     order = np.lexsort((azimuth, scan.ring))

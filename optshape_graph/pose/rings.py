@@ -119,13 +119,13 @@ def _edge_measurement(
         A, r = template_rows(
             boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]] + geometry.shift[0]
         )
-        of_ring = geometry.lifted[0] ** 2 + geometry.turned[0] ** 2
+        of_ring = geometry.of_ring[0]
         sigma = np.sqrt(np.maximum(sigma**2 - of_ring, 0.1 * sigma**2))
         own, outer = _outer_edges(problem.edges, sigma, geometry.own[0] - of_ring)
         offset = geometry.across[0] * problem.beam.common
         further = -geometry.along[0] * problem.blooming[:, 0]
         strains = strain * problem.strains(geometry.labels[0], boundary, one.T_target_lidar[0])
-        by_angle, angles = angle_errors(geometry.lifted[0], geometry.turned[0], problem.edges.ring)
+        by_angle, angles = angle_errors(geometry.lifted[0], geometry.turned[0], problem.edges.ring, problem.sensor)
         whitened = np.column_stack([offset, further, strains, outer, by_angle, A, r]) / (factor * own[:, None])
         shifts = _without_shifts(problem.ring_shifts * (geometry.along[0] / own)[:, None])
         rows.append(np.sqrt(weight[k]) * shifts @ whitened)

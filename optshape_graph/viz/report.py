@@ -216,6 +216,7 @@ TITLES = {
     "mocap": "Calibration of a LiDAR to motion capture",
     "camera-calibration": "Calibration of a LiDAR to a camera",
     "rig": "Calibration of a rig",
+    "sensor-calibration": "Calibration of a LiDAR's rings",
     "map": "Map of targets",
     "design-choice": "Choice of a target",
     "simulation-evaluation": "Estimates in simulation",

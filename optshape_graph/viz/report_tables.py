@@ -48,6 +48,8 @@ def tables_of(document: Mapping[str, Any]) -> list[Table]:
         pairs = document["transforms"]
         named = [_transform(f"T_{one['a']}_{one['b']}", one["T_a_b"], one["covariance"]) for one in pairs]
         return [_rig_sightings(document), *named]
+    if kind == "sensor-calibration":
+        return [_rings(document)]
     if kind == "simulation-evaluation":
         return [_simulated_cells(document)]
     if kind == "mocap-evaluation":
@@ -71,6 +73,20 @@ def _rig_sightings(document: Mapping[str, Any]) -> Table:
 def _mocap_scans(document: Mapping[str, Any]) -> Table:
     rows = [(one["scan"], _mm(one["rmse_m"]), _mm(one["e_t_m"]), f"{one['e_r_deg']:.2f}") for one in document["scans"]]
     return Table("Scans, each in a frame fitted to the others", ("scan", "RMSE mm", "e_t mm", "e_r deg"), tuple(rows))
+
+
+def _rings(document: Mapping[str, Any]) -> Table:
+    keys = ("range_bias_mm", "range_bias_sd_mm")
+    angles = ("elevation_off_deg", "elevation_sd_deg", "azimuth_off_deg", "azimuth_sd_deg")
+    rows = [
+        (
+            str(ring["ring"]), *(f"{ring[key]:.1f}" for key in keys), *(f"{ring[key]:.3f}" for key in angles),
+            _number(ring["before_mm"]), _number(ring["after_mm"]),
+        )
+        for ring in document["rings"]
+    ]  # fmt: skip
+    columns = ("ring", "range mm", "sd", "elevation deg", "sd", "azimuth deg", "sd", "before mm", "after mm")
+    return Table("Rings against the given file, and off boards that took no part", columns, tuple(rows))
 
 
 def _camera_views(document: Mapping[str, Any]) -> Table:

@@ -30,6 +30,9 @@ RUNS: dict[str, tuple[str, set[str]]] = {
     ),
     "calibrate mocap": ("calibrate mocap {session} --estimate-scale --json {out}/a.json", {"mocap"}),
     "calibrate camera": ("calibrate camera {camera} --use-target-points --json {out}/a.json", {"camera-calibration"}),
+    "calibrate sensor": (
+        "calibrate sensor {session} -o {out}/a.yaml --json {out}/a.json", {"sensor-calibration", "sensor"},
+    ),
     "calibrate rig": ("calibrate rig {rig} --use-target-points --json {out}/a.json", {"rig"}),
     "design optimise": (
         "design optimise --starts 1 --rings 1 3 --area 0.5 --sides 3 -o {out}/a.yaml", {"target", "design-start"},

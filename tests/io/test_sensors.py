@@ -42,6 +42,13 @@ def sensors(draw: st.DrawFn) -> SensorModel:
         beam_divergence=draw(small),
         beam_aperture=draw(small),
         azimuth_offsets=draw(st.none() | st.lists(st.floats(-0.2, 0.2), min_size=n, max_size=n).map(np.array)),
+        range_bias=draw(st.none() | st.lists(st.floats(-0.1, 0.1), min_size=n, max_size=n).map(np.array)),
+        elevation_sd=draw(st.none() | st.lists(small, min_size=n, max_size=n).map(np.array)),
+        firing_phases=(phases := draw(st.none() | st.lists(st.floats(0, 0.99), min_size=n, max_size=n).map(np.array))),
+        firing_sd=None if phases is None else draw(st.none() | st.lists(small, min_size=n, max_size=n).map(np.array)),
+        firing_period=draw(st.floats(1e-6, 1e-3)),
+        edge_offset=draw(st.floats(-0.5, 0.5)),
+        edge_offset_sd=draw(small),
         range_resolution=draw(small),
         min_range=least,
         max_range=draw(st.just(np.inf) | st.floats(least + 1, 500)),
@@ -54,6 +61,7 @@ def test_saved_is_loaded(tmp_path_factory: pytest.TempPathFactory, sensor: Senso
     save_sensor(path, sensor)
     found = load_sensor(path)
     for name in (
+        "range_bias", "elevation_sd", "edge_offset", "edge_offset_sd",
         "elevations", "azimuth_step", "range_noise", "ring_bias", "beam_divergence", "azimuth_offsets",
         "range_resolution", "min_range", "max_range", "brightness_bias", "blooming", "odd_ends",
     ):  # fmt: skip
@@ -62,6 +70,10 @@ def test_saved_is_loaded(tmp_path_factory: pytest.TempPathFactory, sensor: Senso
             assert getattr(found, name) is None
         else:  # radians become degrees and back
             np.testing.assert_allclose(getattr(found, name), value, rtol=1e-15, atol=1e-16)
+    for name in ("firing_phases", "firing_sd"):  # in the file they are times
+        if getattr(sensor, name) is not None:
+            np.testing.assert_allclose(getattr(found, name), getattr(sensor, name), rtol=1e-12, atol=1e-15)
+            assert found.firing_period == pytest.approx(sensor.firing_period, rel=1e-12)
     assert found.name == sensor.name
 
 
@@ -114,6 +126,7 @@ def test_published_tables() -> None:
             SENSOR.replace("0.01", "1 cm"),
             r"bad\.yaml:5: range_noise_m: expected a finite number of at least 0, found '1 cm'",
         ),
+        (SENSOR + "range_bias_m: [1, 2]\n", "expected 3 finite range biases, one per ring, found 2"),
         (SENSOR + "azimuth_offsets_deg: [1, 2]\n", "expected 3 finite azimuth offsets, one per ring, found 2"),
         (SENSOR + "min_range_m: 5\nmax_range_m: 4\n", r"max_range 4\.0 m does not exceed 5\.0 m"),
         (SENSOR + "range_resolution_m: -1\n", r"range_resolution_m: expected a finite number of at least 0, found -1"),

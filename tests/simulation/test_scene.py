@@ -12,7 +12,9 @@ from scipy.spatial import ConvexHull
 from optshape_graph import InputError, SensorModel, Target
 from optshape_graph.io.sensors import load_sensor
 from optshape_graph.io.targets import load_target
+from optshape_graph.scan import moved
 from optshape_graph.simulation import (
+    AngleErrors,
     Box,
     ConstantTwist,
     Floor,
@@ -228,6 +230,24 @@ def test_a_trajectory_through_a_constant_twist_is_nearly_it():
         np.testing.assert_allclose(a, b, atol=1e-5)  # chord against arc: (v w dt^2) / 8 = 6e-6
     with pytest.raises(InputError, match=r"covers -0\.1 to 0\.1 s"):
         trajectory.at(np.array([0.2]))
+
+
+def test_hidden_angles_turn_rays_and_not_what_is_reported():
+    """Put right by what is hidden, the returns are on the target's plane again, to rounding."""
+    rng = np.random.default_rng(1)
+    errors = AngleErrors(rng.normal(0, 1e-3, SENSOR.n_rings), rng.normal(0, 1e-3, SENSOR.n_rings))
+    T = pose_from_rpy([6.0, 0.0, 0.0], [0.0, 0.4, 0.4])
+    scan = simulate_target(load_target("paper"), SENSOR, T, angle_errors=errors)
+    local = (scan.points - T[:3, 3]) @ T[:3, :3]
+    right = moved(scan.points, scan.ring, np.zeros(SENSOR.n_rings), errors.elevation, errors.azimuth)
+    assert np.abs(local[:, 0]).max() > 1e-3
+    assert np.abs(((right - T[:3, 3]) @ T[:3, :3])[:, 0]).max() < 1e-9
+    known = replace(
+        SENSOR, elevations=SENSOR.elevations + errors.elevation, reported_elevations=SENSOR.elevations,
+        azimuth_offsets=errors.azimuth, reported_azimuth_offsets=np.zeros(SENSOR.n_rings),
+    )  # fmt: skip
+    same = simulate_target(load_target("paper"), known, T)
+    np.testing.assert_allclose(same.points, scan.points, atol=1e-9)
 
 
 def test_azimuth_offsets_turn_rings():

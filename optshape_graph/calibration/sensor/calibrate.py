@@ -19,13 +19,14 @@ from optshape_graph.calibration.sensor.noise import Sampling, drift_of, sampling
 from optshape_graph.calibration.sensor.placements import Placement, of_recording, of_session, one_lidar
 from optshape_graph.calibration.sensor.result import PlacementResult, SensorCalibration
 from optshape_graph.calibration.sensor.seen import Seen
-from optshape_graph.calibration.sensor.told import directions, silent_rings
-from optshape_graph.calibration.sensor.unknowns import EDGE_SYSTEMATIC, RingDeviations
+from optshape_graph.calibration.sensor.told import directions, in_common, silent_rings
+from optshape_graph.calibration.sensor.unknowns import EDGE_SYSTEMATIC, RingDeviations, common_sd
 from optshape_graph.calibration.verdict import Finding
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors import EDGE_OFFSET
+from optshape_graph.factors import AZIMUTH, EDGE_OFFSET, ELEVATION, RANGE_BIAS
 from optshape_graph.io.recordings import Recording
 from optshape_graph.io.sessions import Session, load_session
+from optshape_graph.runs.kept import Kept
 from optshape_graph.scan import put_right
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
@@ -59,6 +60,7 @@ def calibrate_sensor(
     distances: Sequence[Distance] = (),
     use_target_points: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    kept: Kept | None = None,
 ) -> SensorCalibration:
     """Calibrate a LiDAR's rings by boards that stood still in front of it.
 
@@ -71,6 +73,7 @@ def calibrate_sensor(
         distances: between boards, measured.
         use_target_points: take the crops by hand of sessions instead of looking for the boards.
         progress: called with the number of scans done, and their total.
+        kept: what was found in a run that was stopped, and is in this one (`runs.kept.keeping`); None: it is not kept.
 
     Raises:
         InputError: a source that can't be read or used, no sensor, or sensors that differ.
@@ -86,13 +89,13 @@ def calibrate_sensor(
             opened, its = one_lidar(opened, lidar, sensor)
             if sensor is None:
                 sensor = its
-            found, gone = of_session(opened, wanted, use_target_points, progress)
+            found, gone = of_session(opened, wanted, use_target_points, progress, kept or Kept())
         else:
             if sensor is None:
                 raise InputError(f"{opened.path}: a recording needs the sensor's file, or a built-in name")
             if not wanted:
                 raise InputError(f"{opened.path}: a recording needs the targets to look for")
-            found, gone = of_recording(opened, topic, wanted, sensor, progress)
+            found, gone = of_recording(opened, topic, wanted, sensor, progress, kept or Kept())
         if any(placement.markers is not None for placement in found):
             frames.append([len(placements) + k for k in range(len(found))])
         # Moments of different sources are different moments.
@@ -153,7 +156,7 @@ def calibrate_placements(
     joint = replace(joint, beta=mean, covariance=covariance)
     dev = RingDeviations.of(sensor, joint.errors, mean, np.sqrt(np.diag(covariance)))
     sampled = sampling(seen, sensor.n_rings)
-    calibrated = _calibrated(sensor, dev, joint, sampled, drift)
+    calibrated = _calibrated(sensor, dev, joint, sampled, drift, kept)
     silent = silent_rings(
         sensor,
         [
@@ -239,7 +242,9 @@ def _ring_residuals(
     return before, after
 
 
-def _calibrated(sensor: SensorModel, dev: RingDeviations, joint: Joint, sampled: Sampling, drift: float) -> SensorModel:
+def _calibrated(
+    sensor: SensorModel, dev: RingDeviations, joint: Joint, sampled: Sampling, drift: float, kept: Collection[str]
+) -> SensorModel:
     """The sensor's file with what was found; of what clouds are reported by, that is kept beside it."""
     nothing = np.zeros(sensor.n_rings)
     offsets = nothing if sensor.azimuth_offsets is None else sensor.azimuth_offsets
@@ -249,14 +254,26 @@ def _calibrated(sensor: SensorModel, dev: RingDeviations, joint: Joint, sampled:
         k = int((np.diff(elevations) <= 0).argmax())
         raise EstimationError(f"rings {k} and {k + 1} would cross: the boards do not fit sensor '{sensor.name}'")
     edge = next(i for i, error in enumerate(joint.errors) if error.kind == EDGE_OFFSET)
+    common = {
+        kind: in_common(joint, sensor, kind) if kind in kept else common_sd(sensor, kind)
+        for kind in (RANGE_BIAS, ELEVATION, AZIMUTH)
+    }
+
+    def own(sd: Floats, kind: str) -> Floats:
+        """What is a ring's own in a standard deviation (R,), where it was calibrated."""
+        return np.sqrt(np.maximum(sd**2 - common[kind] ** 2, 0.0)) if kind in kept else sd
+
     edge_sd = float(np.sqrt(joint.covariance[edge, edge])) * sensor.edge_offset_sd
     changes: dict[str, Any] = {
         "range_bias": (nothing if sensor.range_bias is None else sensor.range_bias) + dev.range_bias,
-        "range_bias_sd": np.hypot(dev.range_bias_sd, drift),
+        "range_bias_sd": np.hypot(own(dev.range_bias_sd, RANGE_BIAS), drift),
         "elevations": elevations,
-        "elevation_sd": dev.elevation_sd,
+        "elevation_sd": own(dev.elevation_sd, ELEVATION),
         "azimuth_offsets": offsets + dev.azimuth,
-        "azimuth_sd": dev.azimuth_sd,
+        "azimuth_sd": own(dev.azimuth_sd, AZIMUTH),
+        "common_range_sd": common[RANGE_BIAS],
+        "common_elevation_sd": common[ELEVATION],
+        "common_azimuth_sd": common[AZIMUTH],
         "reported_elevations": reported.elevations,
         "reported_azimuth_offsets": nothing if reported.azimuth_offsets is None else reported.azimuth_offsets,
         "edge_offset": sensor.edge_offset + float(joint.beta[edge]) * sensor.edge_offset_sd,

@@ -9,7 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.sensor.graph import Joint
-from optshape_graph.calibration.sensor.unknowns import prior_sds
+from optshape_graph.calibration.sensor.unknowns import COMMON, common_sd, prior_sds
 from optshape_graph.factors import AZIMUTH, ELEVATION, RANGE_BIAS
 from optshape_graph.sensor import SensorModel
 
@@ -57,6 +57,24 @@ def directions(joint: Joint, sensor: SensorModel) -> tuple[Direction, ...]:
             sd = float(np.sqrt(w @ joint.covariance[np.ix_(index, index)] @ w))
             found.append(Direction(name, unit, sd, float(np.linalg.norm(w))))
     return tuple(found)
+
+
+def in_common(joint: Joint, sensor: SensorModel, kind: str) -> float:
+    """Return the standard deviation of what the errors of all seen rings are off by together, metres or rad.
+
+    Args:
+        joint: the solution.
+        sensor: the file that was calibrated.
+        kind: of error.
+    """
+    index = np.array([i for i, error in enumerate(joint.errors) if error.kind in (kind, COMMON[kind])], int)
+    rings = [joint.errors[i].ring for i in index]
+    seen = [ring for ring in rings if ring is not None]
+    if not seen:
+        return 0.0
+    prior = prior_sds(sensor, kind)
+    weight = np.array([common_sd(sensor, kind) if ring is None else prior[ring] / len(seen) for ring in rings])
+    return float(np.sqrt(weight @ joint.covariance[np.ix_(index, index)] @ weight))
 
 
 def silent_rings(sensor: SensorModel, kinds: Sequence[tuple[Floats, Floats]]) -> tuple[int, ...]:

@@ -15,7 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.factors import AZIMUTH, ELEVATION, RANGE_BIAS, SharedError
+from optshape_graph.factors import (
+    AZIMUTH,
+    COMMON_AZIMUTH,
+    COMMON_ELEVATION,
+    COMMON_RANGE,
+    ELEVATION,
+    RANGE_BIAS,
+    SharedError,
+)
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
@@ -80,19 +88,34 @@ class RingDeviations(Value):
             sensor: the file that is calibrated.
             errors: (k,) the unknowns.
             beta: (k,) in prior standard deviations.
-            sd: (k,) of them, likewise.
+            sd: (k,) of them, in prior standard deviations.
         """
         columns = []
         for kind in (RANGE_BIAS, ELEVATION, AZIMUTH):
             prior = prior_sds(sensor, kind)
-            mean, left = np.zeros(sensor.n_rings), np.ones(sensor.n_rings)
+            mean, left, together = np.zeros(sensor.n_rings), np.ones(sensor.n_rings), 0.0
             for error, value, spread in zip(errors, beta, sd, strict=True):
                 if error.kind == kind and error.ring is not None:
                     mean[error.ring], left[error.ring] = value, spread
+                elif error.kind == COMMON[kind]:
+                    together = value * common_sd(sensor, kind)
             # A range that is measured too far is pulled in by the unknown; angles are raised by it.
-            columns.append((mean * prior, left * prior))
+            columns.append((mean * prior + together, left * prior))
         (b, sb), (e, se), (a, sa) = columns
         return cls(-b, e, a, sb, se, sa)
+
+
+COMMON = {RANGE_BIAS: COMMON_RANGE, ELEVATION: COMMON_ELEVATION, AZIMUTH: COMMON_AZIMUTH}
+"""What all rings have in common of a kind of error."""
+
+
+def common_sd(sensor: SensorModel, kind: str) -> float:
+    """Return the standard deviation that the sensor's file has for what all rings have in common, metres or rad."""
+    return {
+        RANGE_BIAS: sensor.common_range_sd,
+        ELEVATION: sensor.common_elevation_sd,
+        AZIMUTH: sensor.common_azimuth_sd,
+    }[kind]
 
 
 def prior_sds(sensor: SensorModel, kind: str) -> Floats:
