@@ -20,7 +20,7 @@ from optshape_graph.io.files import write_atomically
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import apply, inverse, rotation, transform
 from optshape_graph.sensor import SensorModel
-from optshape_graph.simulation import NoiseModel, Patch, Scene, simulate, simulate_target
+from optshape_graph.simulation import AngleErrors, NoiseModel, Patch, Scene, simulate, simulate_target
 from optshape_graph.target import Target
 
 AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -29,8 +29,8 @@ AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 CORNER_PX = 0.2
 """Standard deviation of a corner's coordinate in an image, pixels."""
 
-ELEVATION_ERROR = np.radians(0.05)
-"""Standard deviation of how far each ring's elevation is off its table, rad."""
+ANGLE_ERROR = np.radians(0.05)
+"""Standard deviation of how far each ring's elevation and azimuth are off its table, rad."""
 
 MAKES = {"roof": "os1-64", "front": "vlp16", "rear": "vlp32c"}
 PLACES: dict[str, tuple[Sequence[float], Sequence[float]]] = {
@@ -52,14 +52,14 @@ class SimulatedRig(Value):
         cameras: intrinsics by name.
         T_base_sensor: (4, 4) of each.
         range_bias: (R,) of each LiDAR's rings, metres.
-        elevation: (R,) of each LiDAR's rings, rad: how far each looks above its table.
+        angle_errors: of each LiDAR's rings: where each looks elsewhere than its table says.
     """
 
     lidars: Mapping[str, SensorModel]
     cameras: Mapping[str, CameraIntrinsics]
     T_base_sensor: Mapping[str, Floats]
     range_bias: Mapping[str, Floats]
-    elevation: Mapping[str, Floats]
+    angle_errors: Mapping[str, AngleErrors]
 
     @classmethod
     def drawn(
@@ -76,7 +76,7 @@ class SimulatedRig(Value):
             cameras: their names.
         """
         models = {
-            name: replace(load_sensor(make), elevation_error=ELEVATION_ERROR)
+            name: replace(load_sensor(make), elevation_error=ANGLE_ERROR, azimuth_error=ANGLE_ERROR)
             for name, make in (MAKES if lidars is None else lidars).items()
         }
         poses = {}
@@ -92,52 +92,30 @@ class SimulatedRig(Value):
             for name in cameras
         }  # fmt: skip
         bias = {name: NoiseModel.of(m).draw_range_bias(m.n_rings, rng) for name, m in models.items()}
-        up = {name: rng.normal(0.0, m.elevation_sds) for name, m in models.items()}
-        return cls(models, lenses, poses, bias, up)
+        angles = {name: NoiseModel.of(m).draw_angle_errors(m.n_rings, rng) for name, m in models.items()}
+        return cls(models, lenses, poses, bias, angles)
 
     def pair(self, a: str, b: str) -> Floats:
         """Return T_a_b (4, 4) of two sensors."""
         return inverse(self.T_base_sensor[a]) @ self.T_base_sensor[b]
 
     def scan(self, lidar: str, target: Target, T_base_target: Floats, rng: np.random.Generator, name: str) -> Scan:
-        """Return a LiDAR's returns on a target.
-
-        Each ring fires where it really looks, and reports what its table says.
-        """
+        """Return a LiDAR's returns on a target."""
         T = inverse(self.T_base_sensor[lidar]) @ T_base_target
-        scan = simulate_target(
-            target, self._really(lidar), T, noise=NoiseModel.of(self.lidars[lidar]), rng=rng,
-            range_bias=self.range_bias[lidar], name=name,
+        return simulate_target(
+            target, self.lidars[lidar], T, noise=NoiseModel.of(self.lidars[lidar]), rng=rng,
+            range_bias=self.range_bias[lidar], angle_errors=self.angle_errors[lidar], name=name,
         )  # fmt: skip
-        return self._reported(lidar, scan)
 
     def moving_scan(
         self, lidar: str, target: Target, path: Carried, start: float, rng: np.random.Generator, name: str
     ) -> Scan:
         """Return a LiDAR's returns on a target that moves, of a revolution that begins at a time, seconds."""
         motion = _Relative(path, self.T_base_sensor[lidar], start)
-        scan = simulate(
-            Scene((Patch(target, np.eye(4)),)), self._really(lidar), motion, noise=NoiseModel.of(self.lidars[lidar]),
-            rng=rng, range_bias=self.range_bias[lidar], name=name,
+        return simulate(
+            Scene((Patch(target, np.eye(4)),)), self.lidars[lidar], motion, noise=NoiseModel.of(self.lidars[lidar]),
+            rng=rng, range_bias=self.range_bias[lidar], angle_errors=self.angle_errors[lidar], name=name,
         ).scan  # fmt: skip
-        return self._reported(lidar, scan)
-
-    def _really(self, lidar: str) -> SensorModel:
-        """The LiDAR with its rings where they look."""
-        model = self.lidars[lidar]
-        return replace(model, elevations=model.elevations + self.elevation[lidar])
-
-    def _reported(self, lidar: str, scan: Scan) -> Scan:
-        """A scan with every return where the table of its ring puts it."""
-        model = self.lidars[lidar]
-        if not len(scan):
-            return replace(scan, sensor=model)
-        assert scan.ring is not None
-        ranges, azimuth = np.linalg.norm(scan.points, axis=1), np.arctan2(scan.points[:, 1], scan.points[:, 0])
-        up = model.elevations[scan.ring]
-        level = ranges * np.cos(up)
-        points = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), ranges * np.sin(up)])
-        return replace(scan, points=points, sensor=model)
 
     def corners(
         self, camera: str, target: Target, T_base_target: Floats, rng: np.random.Generator
