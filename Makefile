@@ -28,7 +28,10 @@ BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-# Folders of tests that need no simulation and no process of their own.
+# Tests of a file stay in one process, which makes what they share once: half of what is made otherwise.
+PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
+
+# Folders of tests that need no process of their own.
 QUICK := $(wildcard tests/test_*.py) $(addprefix tests/,factors graph io pose design runs docs/test_docstrings.py cli/test_lazy.py)
 
 .PHONY: demo check test faults bench leaderboard notebooks coverage docs release-check lock latest sbom
@@ -40,13 +43,13 @@ check: setup-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -n $(JOBS) -q -m "not benchmark" $(QUICK)
+	$(PYTEST) -q -m "not benchmark and not slow" $(QUICK)
 
 test: setup-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -n $(JOBS) -m "not benchmark"
+	$(PYTEST) -m "not benchmark"
 
 faults: setup-test
 	FAULTS=$(FAULTS) $(BIN)/python -m pytest -n $(JOBS) -m "not benchmark" tests/faults
@@ -61,7 +64,7 @@ notebooks: setup-test
 	$(BIN)/python -m tests.notebooks
 
 coverage: setup-test
-	$(BIN)/python -m pytest -n $(JOBS) -m "not benchmark" --cov --cov-report=term:skip-covered
+	$(PYTEST) -m "not benchmark" --cov --cov-report=term:skip-covered
 
 docs: setup-docs
 	PYTHONPATH=docs $(BIN)/python -m zensical build --clean --strict

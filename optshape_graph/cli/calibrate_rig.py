@@ -9,14 +9,14 @@ import click
 
 from optshape_graph.cli.console import say, say_passed_over, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import force_option, outside_option
+from optshape_graph.cli.options import Number, example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
     from optshape_graph.calibration.rig import RigCalibration
 
 
-@click.command()
+@click.command(epilog=example("optshape calibrate rig session.yaml --json rig.json --report rig.html --export rig"))
 @click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
 @report_option
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 @click.option("--use-target-points", is_flag=True, help="Take the targets' returns from the views' manual crops.")
 @click.option(
     "--range-bias-sigma",
-    type=click.FloatRange(min=0.0),
+    type=Number(0.0, 10.0),
     default=0.0,
     show_default=True,
     help="Standard deviation of a range bias that all rings of a LiDAR have alike, metres, beside what its sensor file "
@@ -67,7 +67,7 @@ def command(
     outputs.file("--json", json_path, "rig")
     outputs.file("--report", html)
     outputs.folder("--plot", plots)
-    outputs.folder("--export", export)
+    outputs.folder("--export", export, EXPORTS, replace=False)
     if export:
         for camera in loaded.cameras.values():
             kalibr_distortion(camera)

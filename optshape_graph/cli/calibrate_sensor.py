@@ -9,7 +9,7 @@ import click
 
 from optshape_graph.cli.console import say, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import FILE, POSITIVE, force_option, outside_option
+from optshape_graph.cli.options import FILE, POSITIVE, example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from optshape_graph.io import Session
 
 
-@click.command()
+@click.command(epilog=example("optshape calibrate sensor boards.bag paper square@1 --sensor vlp32c -o mine.yaml"))
 @click.argument("source", type=click.Path(path_type=Path), metavar="RECORDING|SESSION.yaml")
 @click.argument("targets", nargs=-1, metavar="[TARGET]...")
 @click.option("--also", multiple=True, type=click.Path(path_type=Path), metavar="RECORDING|SESSION.yaml",
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
               help="Standard deviation of these distances.")  # fmt: skip
 @click.option("--use-target-points", is_flag=True, help="Take the crops by hand of a session's views.")
 @click.option("-o", "--output", type=FILE, required=True, help="Sensor file to write, ending in .yaml.")
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to "
+              "this file; until it is whole, what was found is kept in FILE.journal.")  # fmt: skip
 @force_option
 @report_option
 @plot_option("how far each ring is off boards that took no part, before and after; and what was found of each ring")
@@ -65,6 +66,7 @@ def command(
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_sensor, load_session, load_target, save_sensor
     from optshape_graph.io.documents import write_json
+    from optshape_graph.runs.kept import keeping
 
     inputs: list[Path] = []
     sources: list[Path | Session] = []
@@ -75,13 +77,14 @@ def command(
             sources.append(session)
         else:
             sources.append(path)
-    outputs = Outputs(inputs, force=force)
+    files = [file for path in inputs for file in (path.rglob("*") if path.is_dir() else [path])]
+    outputs = Outputs([*files, *targets, sensor_name], force=force)
     outputs.file("-o", output, "sensor")
     outputs.file("--json", json_path, "sensor-calibration")
     outputs.file("--report", html)
     outputs.folder("--plot", plots)
     distances = [Distance.parsed(a, b, metres, distance_sd) for a, b, metres in measured]
-    with progress_bar("looking for boards") as progress:
+    with progress_bar("looking for boards") as progress, keeping(json_path) as kept:
         result = calibrate_sensor(
             sources,
             [load_target(name) for name in targets],
@@ -91,13 +94,14 @@ def command(
             distances=distances,
             use_target_points=use_target_points,
             progress=progress,
+            kept=kept,
         )
+        if result.helps:
+            save_sensor(output, result.sensor)
+        if json_path:
+            write_json(json_path, result.to_dict())
     for text in result.left_out:
         warn(f"left out {text}")
-    if result.helps:
-        save_sensor(output, result.sensor)
-    if json_path:
-        write_json(json_path, result.to_dict())
     _print(result)
     pictures = Pictures(plots) if plots else None
     if pictures:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from optshape_graph.cli.estimate import drawn
 from optshape_graph.cli.html_report import report_option
 from optshape_graph.cli.options import FILE, columns_option, example, force_option, pool_options, sensor_option
-from optshape_graph.cli.plots import names_of, picture_ending, plot_option, save_picture
+from optshape_graph.cli.plots import Draw, names_of, plot_option
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from optshape_graph.detection import Detections
     from optshape_graph.runs.workers import Pool
     from optshape_graph.scan import Scan
@@ -67,61 +67,36 @@ def command(
     Exit status 3: some scans could not be used, or a target's shape or pose is ambiguous; the results of the others
     are written.
     """
-    from optshape_graph.cli.console import progress_bar
     from optshape_graph.cli.inputs import scan_paths, sensor_of
     from optshape_graph.cli.outputs import Outputs
-    from optshape_graph.cli.report import report
+    from optshape_graph.cli.report import Table, run_over
     from optshape_graph.detection.files import DetectFile
     from optshape_graph.io import load_target
-    from optshape_graph.runs.files import run_files
 
     paths = scan_paths(scans)
     outputs = Outputs([*scans, *paths, *targets, sensor], force=force)
     outputs.file("--json", json_path, "detect", bytes_needed=BYTES * len(paths))
     outputs.file("--report", html)
     outputs.folder("--plot", plots)
-    draw = Draw(plots, names_of(paths)) if plots else None
+    draw = Draw(plots, names_of(paths), figures) if plots else None
     detect = DetectFile(tuple(map(load_target, targets)), sensor_of(sensor, paths, columns), columns, draw)
-    with (
-        progress_bar("detecting") as progress,
-        run_files(detect, paths, detect.failed, form="detect", describe=detect.describe() | drawn(plots),
-                  output=json_path, pool=pool, progress=progress) as results,
-    ):  # fmt: skip
-        return report(
-            results,
-            "T_lidar_target",
-            ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "fit", "margin"],
-            rows,
-            "score: 0 to 1. fit: chi-square per degree of freedom of plane / edges, or what makes a pose doubtful, or "
-            "the surface no target. margin: log likelihood to the next target asked for, where one fits as well.",
-            json_path,
-            html,
-            "detect",
-        )
+    table = Table(
+        "T_lidar_target",
+        ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "fit", "margin"],
+        rows,
+        "score: 0 to 1. fit: chi-square per degree of freedom of plane / edges, or what makes a pose doubtful, or "
+        "the surface no target. margin: log likelihood to the next target asked for, where one fits as well.",
+    )
+    return run_over(detect, paths, table, "detect", output=json_path, html=html, plots=plots, pool=pool)
 
 
-@dataclass(frozen=True)
-class Draw:
-    """Draws a scan with what was found in it, and the fit of every target.
+def figures(name: str, scan: Scan, detections: Detections) -> dict[str, Figure]:
+    """Return a scan with what was found in it, and the fit of every target, by the names of the pictures."""
+    from optshape_graph.viz.pose import plot_fit
+    from optshape_graph.viz.scan import plot_detections
 
-    Attributes:
-        folder: for the pictures.
-        names: of the pictures of each scan.
-        ending: of the pictures.
-    """
-
-    folder: Path
-    names: dict[str, str]
-    ending: str = field(default_factory=picture_ending)
-
-    def __call__(self, path: str, scan: Scan, detections: Detections) -> list[Path]:
-        from optshape_graph.viz.pose import plot_fit
-        from optshape_graph.viz.scan import plot_detections
-
-        name = self.names[path]
-        fits = {f"{name}_{k}_{one.target.name}": plot_fit(scan, one.estimate) for k, one in enumerate(detections.found)}
-        figures = {name: plot_detections(scan, detections), **fits}
-        return [save_picture(self.folder, title, figure, self.ending) for title, figure in figures.items()]
+    fits = {f"{name}_{k}_{one.target.name}": plot_fit(scan, one.estimate) for k, one in enumerate(detections.found)}
+    return {name: plot_detections(scan, detections), **fits}
 
 
 def rows(entry: dict[str, Any], status: str) -> list[list[str]]:

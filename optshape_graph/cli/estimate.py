@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,9 +9,11 @@ import click
 
 from optshape_graph.cli.html_report import report_option
 from optshape_graph.cli.options import FILE, columns_option, example, force_option, pool_options, sensor_option
-from optshape_graph.cli.plots import names_of, picture_ending, plot_option, save_picture
+from optshape_graph.cli.plots import Draw, names_of, plot_option
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from optshape_graph.pose import PoseEstimate
     from optshape_graph.runs.workers import Pool
     from optshape_graph.scan import Scan
@@ -61,13 +62,11 @@ def command(
     line. Exit status 3: some scans failed, or are doubtful or ambiguous; the results of
     the others are written.
     """
-    from optshape_graph.cli.console import progress_bar
     from optshape_graph.cli.inputs import scan_paths, sensor_of
     from optshape_graph.cli.outputs import Outputs
-    from optshape_graph.cli.report import report
+    from optshape_graph.cli.report import Table, run_over
     from optshape_graph.io import load_target
     from optshape_graph.pose.files import EstimateFile
-    from optshape_graph.runs.files import run_files
 
     paths = scan_paths(scans)
     outputs = Outputs([*scans, *paths, target, sensor], force=force)
@@ -75,54 +74,24 @@ def command(
     outputs.file("--report", html)
     outputs.folder("--plot", plots)
     template, model = load_target(target), sensor_of(sensor, paths, columns)
-    draw = Draw(plots, names_of(paths)) if plots else None
+    draw = Draw(plots, names_of(paths), figures) if plots else None
     estimate = EstimateFile(template, model, method, backend, columns, draw)  # type: ignore[arg-type]  # click checked them
-    with (
-        progress_bar("estimating") as progress,
-        run_files(estimate, paths, estimate.failed, form="estimate", describe=estimate.describe() | drawn(plots),
-                  output=json_path, pool=pool, progress=progress) as results,
-    ):  # fmt: skip
-        return report(
-            results,
-            f"{template.name}: T_lidar_target",
-            ["scan", "status", "x [m]", "y [m]", "z [m]", "± mm", "± deg", "cert.", "margin", "fit", "returns"],
-            rows,
-            "±: largest standard deviation of position and rotation. cert.: globally optimal. "
-            "margin: log likelihood to the best different pose. "
-            "fit: chi-square per degree of freedom of plane / edges, or what makes the pose doubtful.",
-            json_path,
-            html,
-            "estimate",
-        )
+    table = Table(
+        f"{template.name}: T_lidar_target",
+        ["scan", "status", "x [m]", "y [m]", "z [m]", "± mm", "± deg", "cert.", "margin", "fit", "returns"],
+        rows,
+        "±: largest standard deviation of position and rotation. cert.: globally optimal. "
+        "margin: log likelihood to the best different pose. "
+        "fit: chi-square per degree of freedom of plane / edges, or what makes the pose doubtful.",
+    )
+    return run_over(estimate, paths, table, "estimate", output=json_path, html=html, plots=plots, pool=pool)
 
 
-@dataclass(frozen=True)
-class Draw:
-    """Draws what there is to see of an estimate.
+def figures(name: str, scan: Scan, estimate: PoseEstimate) -> dict[str, Figure]:
+    """Return what there is to see of an estimate, by the names of the pictures."""
+    from optshape_graph.viz.pose import plot_estimate
 
-    Attributes:
-        folder: for the pictures.
-        names: of the pictures of each scan.
-        ending: of the pictures.
-    """
-
-    folder: Path
-    names: dict[str, str]
-    ending: str = field(default_factory=picture_ending)
-
-    def __call__(self, path: str, scan: Scan, estimate: PoseEstimate) -> list[Path]:
-        from optshape_graph.viz.pose import plot_estimate
-
-        figures = plot_estimate(scan, estimate)
-        return [
-            save_picture(self.folder, f"{self.names[path]}_{kind}", figure, self.ending)
-            for kind, figure in figures.items()
-        ]
-
-
-def drawn(plots: Path | None) -> dict[str, Any]:
-    """Return where pictures go, as part of what is run: one that is to draw finds nothing done by one that was not."""
-    return {"pictures": str(plots.resolve()) if plots else None}
+    return {f"{name}_{kind}": figure for kind, figure in plot_estimate(scan, estimate).items()}
 
 
 def rows(entry: dict[str, Any], status: str) -> list[list[str]]:

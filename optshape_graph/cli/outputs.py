@@ -20,7 +20,7 @@ OF_INPUTS = frozenset({
 })  # fmt: skip
 """Endings of files that hold somebody's work: they are not written over unasked."""
 
-JOURNALED = ("estimate", "detect", "map", "mocap", "camera-calibration")
+JOURNALED = ("estimate", "detect", "map", "mocap", "camera-calibration", "rig", "sensor-calibration")
 """Forms that are kept beside their file until it is whole."""
 
 LEAST_ROOM = 1 << 20
@@ -132,10 +132,6 @@ class Outputs:
             forced, self._force = self._force, True
             self.folder(option, path.parent, [path.name])
             self._force = forced
-
-    def is_input(self, path: Path) -> bool:
-        """Whether a file is one that the command reads."""
-        return _identity(path) in self._inputs
 
     def _check_name(self, option: str, path: Path, journaled: bool = False) -> None:
         try:

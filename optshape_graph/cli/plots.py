@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,8 @@ from optshape_graph.names import file_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from optshape_graph.scan import Scan
 
 ENDING = "optshape_graph.cli.plots.ending"
 """Where the context of a command keeps the ending of its pictures."""
@@ -91,6 +94,27 @@ def names_of(paths: Sequence[str]) -> dict[str, str]:
     times = Counter(Path(path).stem for path in paths)
     stems = ((k, path, Path(path).stem) for k, path in enumerate(paths))
     return {path: stem if times[stem] == 1 else f"{k:03d}_{stem}" for k, path, stem in stems}
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Draws what was found in a scan, in whatever process it was found: what `run_files` tasks call then.
+
+    Attributes:
+        folder: for the pictures.
+        names: of the pictures of each scan, by its path.
+        figures: takes the scan's name, the scan and what was found, and returns the figures by name.
+        ending: of the pictures.
+    """
+
+    folder: Path
+    names: dict[str, str]
+    figures: Callable[[str, Scan, Any], dict[str, Figure]]
+    ending: str = field(default_factory=picture_ending)
+
+    def __call__(self, path: str, scan: Scan, found: Any) -> list[Path]:
+        figures = self.figures(self.names[path], scan, found)
+        return [save_picture(self.folder, name, figure, self.ending) for name, figure in figures.items()]
 
 
 def check_picture(path: Path | None) -> None:

@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from optshape_graph.cli.console import print_table, say, warn
+from optshape_graph.cli.console import print_table, progress_bar, say, warn
 from optshape_graph.cli.html_report import conclude
 from optshape_graph.runs.journal import Journal
+
+if TYPE_CHECKING:
+    from optshape_graph.runs.workers import Pool
 
 MOST_ROWS = 500
 """Scans that a table shows; of more, how many ended how."""
@@ -20,31 +24,70 @@ MOST_REASONS = 100
 """Lines on standard error."""
 
 
-def report(
-    results: Journal,
-    title: str,
-    columns: Sequence[str],
-    rows_of: Callable[[dict[str, Any], str], list[list[str]]],
-    note: str,
+@dataclass(frozen=True)
+class Table:
+    """What is printed of each scan.
+
+    Attributes:
+        title: above it.
+        columns: their headings.
+        rows_of: rows of an entry of the document and its status.
+        note: below it.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows_of: Callable[[dict[str, Any], str], list[list[str]]]
+    note: str
+
+
+def run_over(
+    task: Any,
+    paths: Sequence[str],
+    table: Table,
+    form: Literal["estimate", "detect"],
+    *,
     output: Path | None,
     html: Path | None,
-    form: str,
+    plots: Path | None,
+    pool: Pool | None,
 ) -> int:
+    """Run a task over scans, print what comes of it, and return the exit status.
+
+    Args:
+        task: of a path, with `failed` and `describe`: see `runs.files.run_files`.
+        paths: of the scans.
+        table: what is printed.
+        form: of the document.
+        output: the document; None: none is written.
+        html: the report of the first `MOST_ROWS` scans; None: none.
+        plots: folder of pictures. A run that is to draw finds nothing done by one that was not. None: none.
+        pool: what works; None: this process.
+    """
+    from optshape_graph.runs.files import run_files
+
+    what = task.describe() | {"pictures": str(plots.resolve()) if plots else None}
+    with (
+        progress_bar(f"{form.removesuffix('e')}ing") as progress,
+        run_files(task, paths, task.failed, form=form, describe=what, output=output, pool=pool,
+                  progress=progress) as results,
+    ):  # fmt: skip
+        return report(results, table, output, html, form)
+
+
+def report(results: Journal, table: Table, output: Path | None, html: Path | None, form: str) -> int:
     """Print the results of a run over scans, and return the exit status.
 
     Args:
         results: a line for each scan, with `status`, `reasons` and `entry`.
-        title: of the table.
-        columns: their headings.
-        rows_of: rows of an entry of the document and its status.
-        note: below the table.
+        table: what is printed.
         output: the document; None: none was written.
-        html: the report of the first `MOST_ROWS` scans; None: none.
-        form: of the document: "estimate" or "detect".
+        html: the report; None: none.
+        form: of the document.
     """
     if results.count <= MOST_ROWS:
-        rows = [row for line in results for row in rows_of(json.loads(line["entry"]), line["status"])]
-        print_table(title, columns, rows, note)
+        rows = [row for line in results for row in table.rows_of(json.loads(line["entry"]), line["status"])]
+        print_table(table.title, table.columns, rows, table.note)
     statuses: Counter[str] = Counter()
     reasons = 0
     for line in results:

@@ -273,11 +273,7 @@ class BiasedMeasurement(Value):
         return TemplateMeasurement.from_stack(R[k:, k:], self.n_rows, self.T_target_lidar)
 
     def of_one_scan(self) -> TemplateMeasurement:
-        """Return the measurement of one scan alone: the elevations of its rings count as exact.
-
-        What an error of theirs does to one scan is within what its ring ends scatter; of many it would be the mean's
-        error.
-        """
+        """Return the measurement of one scan alone: all errors are its own."""
         return self.marginal(1.0)
 
 

@@ -11,7 +11,7 @@ of which the first six link poses and errors, and the others are of the errors a
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -160,32 +160,24 @@ class SharedErrorsModel(Value):
             add_rows(linear, [key], [rows[:, : len(errors)]], -rows[:, -1])
 
 
-def gain(
-    measurement: BiasedMeasurement,
-    T_target_lidar: Floats,
-    own: Sequence[SharedError],
-    exact: Collection[SharedError] = (),
-) -> Floats:
+def gain(measurement: BiasedMeasurement, T_target_lidar: Floats, own: Sequence[SharedError]) -> Floats:
     """Return what errors add to a measurement's information vector where each measurement takes them for its own.
 
-    With B the columns of those it has marginalised, J those of everything else and W the inverse of I + B B^T, it is
-    J^T W times the columns of all of them.
+    With B their columns, J those of everything else and W the inverse of I + B B^T, it is J^T W B.
 
     Args:
         measurement: linear in the errors.
         T_target_lidar: (4, 4) pose of linearisation.
         own: c of the measurement's errors.
-        exact: those of them that the estimate has counted as zero, and not marginalised.
 
     Returns:
         (6 + s, c) matrix, by the right perturbation of the pose, then by the s other errors in their order.
     """
-    k, columns = len(measurement.shared), measurement.stack[:, : len(measurement.shared)]
-    place = [measurement.shared.index(error) for error in own]
-    others = [i for i in range(k) if i not in place]
-    B = columns[:, [i for i in place if measurement.shared[i] not in exact]]
-    J = np.hstack([measurement.stack[:, k:-1] @ vec_derivative(T_target_lidar), columns[:, others]])
-    return np.asarray(J.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, columns[:, place]))
+    k = len(measurement.shared)
+    taken = np.array([error in own for error in measurement.shared], bool)
+    B, others = measurement.stack[:, :k][:, taken], measurement.stack[:, :k][:, ~taken]
+    J = np.hstack([measurement.stack[:, k:-1] @ vec_derivative(T_target_lidar), others])
+    return np.asarray(J.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, B))
 
 
 class Gain(NamedTuple):
@@ -194,12 +186,10 @@ class Gain(NamedTuple):
     Attributes:
         blocks: by some of the system's unknowns: their numbers, and the gain (n, c) matrix there.
         errors: names (c,) of the errors: what is equal is the same error.
-        held: (c,) whether the measurement has marginalised each, so that the estimate's covariance holds it.
     """
 
     blocks: Sequence[tuple[Ints, Floats]]
     errors: Sequence[Hashable]
-    held: Sequence[bool]
 
 
 def persistent(system: LinearSystem, keys: Sequence[int], gains: Iterable[Gain]) -> Floats:
@@ -207,7 +197,7 @@ def persistent(system: LinearSystem, keys: Sequence[int], gains: Iterable[Gain])
 
     The estimate is x = P sum_k J_k^T W_k r_k, each measurement's errors taken for its own. With G_k their gain and G
     the sum, x moves by P G beta if all errors are one beta, of which P holds sum_k P G_k G_k^T P. So the covariance is
-    P + P G G^T P - sum_k P G_k G_k^T P; of errors that were counted as zero P holds nothing.
+    P + P G G^T P - sum_k P G_k G_k^T P.
 
     Args:
         system: of the estimate; P is its covariance.
@@ -217,10 +207,9 @@ def persistent(system: LinearSystem, keys: Sequence[int], gains: Iterable[Gain])
     moved = system.columns_of_covariance(keys)
     covariance = system.covariance(keys)
     together: dict[Hashable, Floats] = {}
-    for blocks, errors, held in gains:
+    for blocks, errors in gains:
         by = sum((moved[unknowns].T @ G for unknowns, G in blocks), np.zeros((len(covariance), len(errors))))
-        within = by[:, np.asarray(held, bool)]
-        covariance = covariance - within @ within.T
+        covariance = covariance - by @ by.T
         for error, column in zip(errors, by.T, strict=True):
             together[error] = together[error] + column if error in together else column
     columns = np.array(list(together.values())).reshape(-1, len(covariance))

@@ -197,7 +197,7 @@ class BatchSolution(Value):
             target = system.index([self.keys.landmarks[match.landmark]])
             lidar = system.index([self.keys.poses[t][match.pose]])
             blocks = [(target, -adjoint(inverse(H)).T @ G[:6]), (lidar, G[:6]), (system.index([key])[ranges], G[6:])]
-            yield Gain(blocks, [(t, match.sighting.lidar, error) for error in own], [True] * len(own))
+            yield Gain(blocks, [(t, match.sighting.lidar, error) for error in own])
 
     def map(self) -> Map:
         """Return the map.

@@ -19,7 +19,6 @@ from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import Summary, summarise
 from optshape_graph.factors._rows import gaussian
-from optshape_graph.factors.static import ELEVATION
 from optshape_graph.graph.linear import LinearSystem
 from optshape_graph.graph.shared import Gain, gain, persistent
 from optshape_graph.mapping.map import Landmark, Map
@@ -183,18 +182,15 @@ class IncrementalGraph:
         return persistent(system, keys, self._gains(system))
 
     def _gains(self, system: LinearSystem) -> Iterator[Gain]:
-        """What the errors of rings add to the information vector, by match: ranges its own, elevations exact."""
+        """What the errors of rings add to the information vector, by match; all are taken for its own."""
         for held in self._held:
             measurement = held.match.biased
             if measurement is not None:
-                errors = measurement.shared
-                exact = [error for error in errors if error.kind == ELEVATION]  # as `one_scan` has them
-                G = gain(measurement, held.T_target_lidar, errors, exact)
+                G = gain(measurement, held.T_target_lidar, measurement.shared)
                 target, lidar = self.landmarks[held.match.landmark].key, X(held.match.pose)
                 by_target = -adjoint(inverse(held.T_target_lidar)).T @ G
                 blocks = [(system.index([target]), by_target), (system.index([lidar]), G)]
-                names = [(held.match.sighting.lidar, error) for error in errors]
-                yield Gain(blocks, names, [error not in exact for error in errors])
+                yield Gain(blocks, [(held.match.sighting.lidar, error) for error in measurement.shared])
 
     def map(self) -> Map:
         """Return the landmarks."""

@@ -68,11 +68,6 @@ class Sweep:
     clock_sd: float = 0.0
 
     @classmethod
-    def of_twist(cls, twist: Floats) -> Sweep:
-        """Return a known constant twist (6,), rotation first, rad/s and m/s, of the LiDAR in its own frame."""
-        return cls(np.eye(4), np.array([np.zeros(6), twist]), np.zeros((2, 2)))
-
-    @classmethod
     def fit(cls, seconds: Sequence[float], poses: Sequence[Floats]) -> Sweep:
         """Fit the motion to poses T_odometry_lidar.
 

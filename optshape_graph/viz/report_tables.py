@@ -39,8 +39,6 @@ def tables_of(document: Mapping[str, Any]) -> list[Table]:
         return [_poses("Landmarks", rows, "id")]
     if kind == "mocap":
         return [_mocap_scans(document), _transform("T_lidar_mocap", document["T_lidar_mocap"], document["covariance"])]
-    if kind == "sensor-calibration":
-        return [_rings(document)]
     if kind == "camera-calibration":
         return [
             _camera_views(document),
@@ -50,6 +48,8 @@ def tables_of(document: Mapping[str, Any]) -> list[Table]:
         pairs = document["transforms"]
         named = [_transform(f"T_{one['a']}_{one['b']}", one["T_a_b"], one["covariance"]) for one in pairs]
         return [_rig_sightings(document), *named]
+    if kind == "sensor-calibration":
+        return [_rings(document)]
     if kind == "simulation-evaluation":
         return [_simulated_cells(document)]
     if kind == "mocap-evaluation":

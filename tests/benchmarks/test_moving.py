@@ -54,7 +54,7 @@ def targets(seed: int) -> np.ndarray:
 
 def scans(seed: int, n: int, step: float, start: float = 1.0) -> list[Stamped]:
     noise, bias_rng = NoiseModel.of(SENSOR), np.random.default_rng([2, seed])
-    bias = noise.draw_range_bias(SENSOR.n_rings, bias_rng)
+    bias, angles = noise.draw_range_bias(SENSOR.n_rings, bias_rng), noise.draw_angle_errors(SENSOR.n_rings, bias_rng)
     room = Box(np.array([18.0, 17.0, 4.0]), at(0.5, 1.0, 0.0, 0.6))
     scene = Scene(tuple(Patch(PAPER, T) for T in targets(seed)), (room,))
     stamps = start + step * np.arange(n)
@@ -68,6 +68,7 @@ def scans(seed: int, n: int, step: float, start: float = 1.0) -> list[Stamped]:
                 noise=noise,
                 rng=np.random.default_rng([3, seed, round(1e3 * s)]),
                 range_bias=bias,
+                angle_errors=angles,
             ).scan,
         )
         for s in stamps

@@ -33,6 +33,7 @@ RUNS: dict[str, tuple[str, set[str]]] = {
     "calibrate sensor": (
         "calibrate sensor {session} -o {out}/a.yaml --json {out}/a.json", {"sensor-calibration", "sensor"},
     ),
+    "calibrate rig": ("calibrate rig {rig} --use-target-points --json {out}/a.json", {"rig"}),
     "design optimise": (
         "design optimise --starts 1 --rings 1 3 --area 0.5 --sides 3 -o {out}/a.yaml", {"target", "design-start"},
     ),
@@ -66,6 +67,7 @@ RUNS: dict[str, tuple[str, set[str]]] = {
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """What the runs read."""
     from tests.calibration.session_support import write_session
+    from tests.cli.test_calibrate_rig import write_session as write_rig
     from tests.cli.test_extract import SENSOR, recording
     from tests.detection.scenes import pose, scan_of
     from tests.fuzz.readers import SCENE
@@ -86,11 +88,13 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     (folder / "camera").mkdir()
     session = write_session(folder / "camera")
     (session / "3.png").write_bytes(b"broken")
+    (folder / "rig").mkdir()
+    rig = write_rig(folder / "rig")
     for name in ("one", "two"):
         a_map("abc", session=name).save(folder / f"{name}.json")
     return {
         "one": folder / "one.json", "two": folder / "two.json",
-        "demo": DEMO, "session": folder / "demo" / "session.yaml", "camera": session / "session.yaml",
+        "demo": DEMO, "session": folder / "demo" / "session.yaml", "camera": session / "session.yaml", "rig": rig,
         "scene": folder / "scene.pcd", "empty": folder / "empty.pcd", "bad": folder / "bad.pcd",
         "scene_file": folder / "scene.yaml", "four": folder / "four.yaml", "bag": recording(folder),
     }  # fmt: skip

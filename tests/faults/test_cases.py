@@ -96,6 +96,13 @@ def test_somebodys_table_is_kept(world: Path) -> None:
     (world / "table1.csv").unlink()
 
 
+@pytest.mark.usefixtures("idle")
+def test_somebodys_export_is_kept(world: Path) -> None:
+    (world / "sensor_kit_calibration.yaml").write_text("years of work\n")
+    assert "--force writes over it" in refused("calibrate rig session.yaml --export .", world)
+    (world / "sensor_kit_calibration.yaml").unlink()
+
+
 @pytest.mark.parametrize("options", ["--plot out.json.journal", "--report out.json.journal"])
 def test_a_journal_is_nobody_elses_output(options: str, world: Path) -> None:
     assert "is the output of --json" in refused(f"{ESTIMATE} --json out.json {options}", world)
@@ -121,7 +128,7 @@ def test_a_drawing_of_a_target_named_as_a_path_stays_here(world: Path) -> None:
 def test_frame_names_are_one_word_of_a_shell_line(name: str) -> None:
     from xml.etree import ElementTree
 
-    from optshape_graph.calibration.camera.static_transforms import static_transforms
+    from optshape_graph.calibration.exports import static_transforms
 
     lines = static_transforms(name, "front", np.eye(4))
     for ros in ("ros1", "ros2"):

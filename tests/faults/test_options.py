@@ -27,7 +27,8 @@ RUNS = {
     "detect": "detect room.pcd --target square@1 --sensor vlp16 --json out/a.json",
     "calibrate mocap": "calibrate mocap session.yaml --json out/a.json",
     "calibrate camera": "calibrate camera session.yaml --json out/a.json",
-    "calibrate sensor": "calibrate sensor session.yaml -o out/a.yaml",
+    "calibrate rig": "calibrate rig session.yaml --json out/a.json",
+    "calibrate sensor": "calibrate sensor clouds square@1 --sensor vlp16 -o out/a.yaml",
     "design choose": "design choose --sensor vlp32c --range 6 --rotation 8 --translation 0.1 -o out/a.yaml",
     "design measured": "design measured square --length 0-1=1001 --length 0-2=1415 -o out/a.yaml",
     "design optimise-poses": "design optimise-poses --sensor vlp32c --range 8 --placements 4 --starts 1 -o out/a.yaml",
@@ -73,10 +74,10 @@ OUTPUTS = (
 
 FOLDERS = ("out/new/folder", "4m.pcd", "precious.txt", "precious.txt/a", "x" * 300, "/dev/full", "/proc/a", "")
 
-SLOW = {"calibrate mocap": 6, "calibrate camera": 6, "calibrate sensor": 12, "design study": 8, "map": 3,
-        "evaluate mocap": 8, "demo": 8,
-        "evaluate simulation": 4, "evaluate paper": 40, "design choose": 40, "design optimise": 4,
-        "design optimise-poses": 4, "doctor": 10,
+SLOW = {
+    "calibrate mocap": 6, "calibrate camera": 6, "calibrate sensor": 12, "calibrate rig": 6, "design study": 8,
+    "map": 3, "demo": 8, "evaluate simulation": 4, "evaluate mocap": 8, "evaluate paper": 40, "design choose": 40,
+    "design optimise": 4, "design optimise-poses": 4, "doctor": 10,
 }  # fmt: skip
 """Commands whose good runs take seconds: every so manieth case of theirs is tried in `make test`."""
 
@@ -100,7 +101,7 @@ def values(parameter: click.Parameter, bad: list[str]) -> list[str]:
         return ["", "nonsense", "GLOBAL", *HOSTILE[4:7]]
     if isinstance(kind, click.types.IntParamType | click.types.FloatParamType) or type(kind).__name__ == "Number":
         return list(NUMBERS)
-    written = name in ("output", "html", "plots", "plot", "camchain", "recording") or name.endswith(
+    written = name in ("output", "html", "plots", "plot", "camchain", "recording", "export") or name.endswith(
         ("_file", "json_path")
     )
     if written and name not in ("camera_file", "mocap_file"):

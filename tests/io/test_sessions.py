@@ -145,7 +145,10 @@ def test_real_sessions() -> None:
             SHORT.replace("sensor:", "sensro:"),
             r"session\.yaml:3: sensro: unknown key 'sensro' \(did you mean 'sensor'\?\)",
         ),
-        (SHORT.replace("sensor: vlp16\n", ""), "expected 'sensor' or 'lidars', found only: schema, name, target"),
+        (
+            SHORT.replace("sensor: vlp16\n", ""),
+            "expected 'sensor' or 'lidars' or 'camera' or 'cameras', found only: schema, name",
+        ),
         (SHORT.replace("target: board.yaml\n", ""), "expected 'target' or 'targets', found only: schema, name, sensor"),
         (
             SHORT.replace("sensor: vlp16", "sensor: vlp99"),
@@ -168,7 +171,7 @@ def test_real_sessions() -> None:
         (SHORT.replace("scan: b.pcd", "scan: 3"), r"views\[1\]\.scan: expected a text \(put it in quotes\), found 3"),
         (
             SHORT.replace("scan: b.pcd, ", ""),
-            r"session\.yaml:8: views\[1\]: the key 'scan' is missing; found only: stamp",
+            r"session\.yaml:8: views\[1\]: expected 'scan' or 'image' or 'mocap_frame', found only: stamp",
         ),
         (SHORT.replace("a.png", "z.png"), r"session\.yaml:7: views\[0\]\.image: no such file: .*z\.png"),
         (SHORT.replace("a_target", "z_target"), r"views\[0\]\.target_points: no such file"),

@@ -104,7 +104,7 @@ def drive(
     """
     rng = np.random.default_rng([7, seed])
     noise = NoiseModel.of(SENSOR)
-    bias = noise.draw_range_bias(SENSOR.n_rings, rng)
+    bias, angles = noise.draw_range_bias(SENSOR.n_rings, rng), noise.draw_angle_errors(SENSOR.n_rings, rng)
     true = inverse(poses[:-1]) @ poses[1:]
     gone = np.linalg.norm(true[:, :3, 3], axis=1)
     sigma = np.sqrt(gone)[:, None] * np.array([np.radians(sigma_deg)] * 3 + [sigma_m] * 3)
@@ -117,7 +117,7 @@ def drive(
         seen = []
         if near:
             scene = Scene(tuple(Patch(target, targets[j]) for j in near))
-            simulated = simulate(scene, SENSOR, motion, noise=noise, rng=rng, range_bias=bias)
+            simulated = simulate(scene, SENSOR, motion, noise=noise, rng=rng, range_bias=bias, angle_errors=angles)
             for n, j in enumerate(near):
                 returns = simulated.target_returns(n)
                 if len(returns) < FEWEST:

@@ -23,9 +23,12 @@ FIXED = 1e-12 * np.eye(6)
 def estimates(T, n, seed, moved=0.0):
     """Return poses of a LiDAR, about the origin, and its estimates of a target at T in a scan from each."""
     rng = np.random.default_rng(seed)
-    bias = NOISE.draw_range_bias(SENSOR.n_rings, rng)
+    kept = {
+        "range_bias": NOISE.draw_range_bias(SENSOR.n_rings, rng),
+        "angle_errors": NOISE.draw_angle_errors(SENSOR.n_rings, rng),
+    }
     poses = [at(*(moved * rng.normal(size=2)), 0.2 * moved * rng.normal(), moved * rng.normal()) for _ in range(n)]
-    scans = (simulate_target(PAPER, SENSOR, inverse(P) @ T, noise=NOISE, rng=rng, range_bias=bias) for P in poses)
+    scans = (simulate_target(PAPER, SENSOR, inverse(P) @ T, noise=NOISE, rng=rng, **kept) for P in poses)
     return np.array(poses), [estimate_pose(scan, PAPER) for scan in scans]
 
 

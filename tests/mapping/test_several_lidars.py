@@ -31,21 +31,21 @@ def body(stamps):
     return exp(np.asarray(stamps)[..., None] * TWIST)
 
 
-def write_robot(folder, n=4, step=0.6, together=False, odometry_late=0.0):
+def write_robot(folder, n=4, step=0.6, together=False, odometry_late=0.0, speed=1.0):
     """Write a robot's scans of two LiDARs, each a folder, and its odometry; return true landmarks by the first scan."""
     rng, scene = np.random.default_rng(1), Scene(tuple(Patch(TARGET, T) for T in WHERE), (Floor(-1.5),))
     folder.mkdir()
     for name, sensor, late in (("front", FRONT, 0.0), ("rear", REAR, 0.0 if together else 0.03)):
         (folder / name).mkdir()
         stamps = late + step * np.arange(n)
-        twist = adjoint(inverse(MOUNTED[name])) @ TWIST
+        twist = speed * adjoint(inverse(MOUNTED[name])) @ TWIST
         for k, stamp in enumerate(stamps):
-            motion = ConstantTwist(body(stamp) @ MOUNTED[name], twist)
+            motion = ConstantTwist(body(speed * stamp) @ MOUNTED[name], twist)
             write_scan(folder / name / f"{k}.pcd",
                        simulate(scene, sensor, motion, noise=NoiseModel.of(sensor), rng=rng).scan)  # fmt: skip
         (folder / name / "timestamps.txt").write_text("".join(f"{stamp:.6f}\n" for stamp in stamps))
     times = np.arange(-0.5, step * n + 0.5, 0.05)
-    write_tum(folder / "odometry.tum", Trajectory(body(times), times + odometry_late))
+    write_tum(folder / "odometry.tum", Trajectory(body(speed * times), times + odometry_late))
     return [inverse(MOUNTED["front"]) @ T for T in WHERE]
 
 
@@ -107,6 +107,27 @@ def test_two_lidars_from_the_command_line(tmp_path):
     few = CliRunner().invoke(command, [*arguments, *map(str, by_hand[:7])])
     assert few.exit_code == 2
     assert "--mounting is given 1 times, for 2 LiDARs" in few.output
+
+
+def test_a_session_of_two_lidars_at_rest(tmp_path):
+    """Views of one stamp are one pose; the poses of later ones are found by the landmarks."""
+    true = write_robot(tmp_path / "robot", n=2, together=True, speed=0.0)
+    views = [
+        {"scan": f"{name}/{k}.pcd", "lidar": name, "stamp": float(k)} for k in range(2) for name in ("front", "rear")
+    ]
+    session = {
+        "schema": "optshape/session/1", "targets": {"paper": "paper"}, "views": views,
+        "lidars": {"front": {"sensor": "vlp32c"}, "rear": {"sensor": "vlp16"}},
+    }  # fmt: skip
+    file = tmp_path / "robot" / "session.json"
+    file.write_text(json.dumps(session))
+    between = inverse(MOUNTED["front"]) @ MOUNTED["rear"]
+    result = map_recording(file, extrinsics={("front", "rear"): between}, pool=Pool(1))
+    assert_mapped(result, true)
+    assert len(result.trajectory) == 2
+    assert sum(landmark.observations for landmark in result.map.landmarks) >= 6  # of eight
+    with pytest.raises(InputError, match="where 'rear' is relative to 'front' is not known"):
+        map_recording(file, pool=Pool(1))
 
 
 @pytest.mark.parametrize(

@@ -144,6 +144,7 @@ FROM_BEHIND = (2, 14, 16, 17, 22, 40, 46, 53, 56, 58)
 """Seeds of `few_points`, all below 60 with which a pose seen from behind costs less than every one in front."""
 
 
+@pytest.mark.slow
 def test_a_pose_from_behind_is_no_rival() -> None:
     """No pose is certified against all; against those in front nine of ten, by every backend alike."""
     certified = 0
@@ -159,6 +160,7 @@ def test_a_pose_from_behind_is_no_rival() -> None:
     assert certified >= 9
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**31 - 1))
 @settings(max_examples=25)
 def test_the_bound_in_front_holds_for_every_pose_in_front(seed: int) -> None:

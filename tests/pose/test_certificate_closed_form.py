@@ -59,6 +59,7 @@ def test_three_backends_agree(sensor: str) -> None:
     assert max(c.gap_m2 for c in certificates[:2]) <= 1e-5**2
 
 
+@pytest.mark.slow
 @needs_shared
 def test_clouds_and_recordings_are_certified_without_a_solver() -> None:
     """Seven rings and more; fewer are left to the solver where their edges say too little by themselves."""
@@ -75,6 +76,7 @@ def test_clouds_and_recordings_are_certified_without_a_solver() -> None:
     assert min(second) > 0
 
 
+@pytest.mark.slow
 def test_wrong_minima_are_not_certified() -> None:
     """Local minima near the half turns of the global one, which cost more."""
     wrong = 0

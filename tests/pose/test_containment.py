@@ -83,6 +83,7 @@ def nees(estimate: object, T: np.ndarray) -> float:
     return float(xi @ np.linalg.solve(estimate.covariance, xi))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "distance", "shots"), [("paper", 5.0, 8000), ("square", 10.0, 12000), ("triangle", 20.0, 20000)]
 )
@@ -113,6 +114,7 @@ def equivalents(target: object, T: np.ndarray) -> list[np.ndarray]:
     return turned
 
 
+@pytest.mark.slow
 def test_few_returns_are_never_wrong_and_sure() -> None:
     target = load_target("paper")
     statuses = set()
@@ -172,6 +174,7 @@ def test_a_corner_alone_is_not_observable() -> None:
     assert "not observable" in estimate.reason
 
 
+@pytest.mark.slow
 @needs_shared
 def test_recordings_without_their_rings_agree_with_themselves() -> None:
     """Ring gaps are large, so less is known than with rings; what is known must not contradict."""

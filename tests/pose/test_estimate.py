@@ -18,6 +18,7 @@ from tests.pose.clouds import errors, reference_cases, simulated
 from tests.shared import needs_shared
 
 
+@pytest.mark.slow
 @needs_shared
 def test_reference_clouds() -> None:
     """Published on these clouds: e_r median 1.63, mean 5.85 deg, worst 35; RMSE median 0.050, mean 0.096 m."""
@@ -50,6 +51,7 @@ def test_papers_method_reproduces_the_published_results() -> None:
         assert abs(rmse - case.published_rmse) < 1e-3, case.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("distance", "rpy"), [(5.0, (0, 0, 0)), (10.0, (20, 30, 30)), (20.0, (0, 0, 0))])
 def test_covariance_is_consistent(distance: float, rpy: tuple[float, float, float]) -> None:
     """NEES / dof within 0.7 to 1.4 and 95 % regions that cover 88 to 99 %, over 100 jittered scans a range.
@@ -135,6 +137,7 @@ def test_noise_free_close_up_is_exact() -> None:
     assert e_r < 0.15
 
 
+@pytest.mark.slow
 def test_partial_illumination() -> None:
     """A third of the rings removed at random, four or more left: within 5 deg in 95 % (of 60), or flagged."""
     target = load_target("paper")
@@ -203,6 +206,7 @@ def test_one_visible_edge_is_not_ok() -> None:
     assert estimate.reason
 
 
+@pytest.mark.slow
 def test_two_rings() -> None:
     """Four edge points: an answer with a wide covariance, or a flag; never a confident wrong one."""
     target = load_target("paper")

@@ -37,6 +37,7 @@ def test_flipped_once(name: str) -> None:
     assert estimate.status != "ok" or errors(estimate, T)[1] < 25
 
 
+@pytest.mark.slow
 def test_a_flip_is_never_ok(tmp_path) -> None:
     """At noise level 3 (0.3 deg), 24 and 36 m, 4 to 9 rings: no flip is ok; most scans are, and are right."""
     sweep = SimulationSweep(load_target("paper"), None, ("global",), (24.0, 36.0), noise=("3",), draws=10, seed=3)

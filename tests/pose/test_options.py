@@ -30,6 +30,7 @@ def normalised(scan: Scan, T: np.ndarray, options: PoseOptions) -> np.ndarray:
     return np.asarray(xi / np.sqrt(np.diag(estimate.covariance)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("flatness", "low", "high"), [(1e-3, 0.6, 1.5), (3e-3, 0.0, 0.4), (3e-4, 0.6, 1.5)])
 def test_flatness(flatness: float, low: float, high: float) -> None:
     """The place and tilt of a board that is rough by 1 mm, seen by a sensor without noise: mean square of 30 scans.

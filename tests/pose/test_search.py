@@ -63,6 +63,7 @@ def test_a_grid_finds_no_other_mode(group: str, index: int) -> None:
     assert not lacking.any(), f"{lacking.sum()} of {len(good)} likely poses belong to none of {len(found)} candidates"
 
 
+@pytest.mark.slow
 def test_the_truth_is_among_the_candidates() -> None:
     """Within 25 deg and 0.35 radii of one, in 99.9 % of all scans: of 20 of each group at most one is not."""
     missed = []

@@ -48,6 +48,7 @@ def test_noise_and_bias_are_seen(noise: float, bias: float) -> None:
     assert np.median([r.bias / r.file_bias for r in seen]) == pytest.approx(max(bias, 1.0), rel=0.2)
 
 
+@pytest.mark.slow
 def test_flat_boards_are_flat() -> None:
     """SEEN is a probability: of 200 flat boards 2 % seem to have a shape; 4 have a standard deviation of 2."""
     assert sum(residuals(seed)[0].surface(SEEN).size > 0 for seed in range(200)) <= 12

@@ -159,7 +159,7 @@ def test_other_documents_are_refused(tmp_path, document, message) -> None:
 
 
 def test_every_form_is_tested(results) -> None:
-    assert set(FORMS) == {*results, "camera-calibration"}
+    assert set(FORMS) == {*results, "camera-calibration", "rig"}
 
 
 def test_an_ellipsoid_has_the_covariance_s_axes() -> None:

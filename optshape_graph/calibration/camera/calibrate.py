@@ -123,8 +123,12 @@ def calibrate(
         raise EstimationError(f"no view of {', '.join(missing)} agrees with those of the other sensors")
     scans = [s for s in start.sightings if s.sensor == base and used & set(s.views)]
     # What is not known of the lenses, refined or not, is part of what is not known of the cameras' places. With a lens
-    # that is not quite as given, scans and images differ by more than they scatter: settled with the lens free.
-    most_likely, discrepancy = _settled(everything_free, start, best, used)
+    # that is not quite as given, scans and images differ by more than they scatter: it is the lesser of both scatters.
+    most_likely, free_scatter = _settled(everything_free, start, best, used)
+    discrepancy = Discrepancy(
+        min(discrepancy.rotation, free_scatter.rotation), min(discrepancy.translation, free_scatter.translation)
+    )
+    most_likely = everything_free.solve(used.__contains__, most_likely, discrepancy)
     uncertainty = everything_free.uncertainty(used.__contains__, most_likely, discrepancy)
     check_observable(uncertainty, middle(scans))
     graph = graph_as_they_come(refined)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.lens import LensCheck, check_lenses
 from optshape_graph.calibration.camera.noise import noise_factors, scaled
 from optshape_graph.calibration.camera.sightings import TargetInScan
@@ -17,6 +17,7 @@ from optshape_graph.calibration.rig.discrepancy import settled
 from optshape_graph.calibration.rig.graph import Options, RigGraph, RigSolution
 from optshape_graph.calibration.rig.judgement import (
     check_numbers,
+    check_sensors,
     doubts,
     judge,
     middle_of,
@@ -28,25 +29,16 @@ from optshape_graph.calibration.rig.left_out import Off, left_out
 from optshape_graph.calibration.rig.moving import Clocks, connect, solve_moving
 from optshape_graph.calibration.rig.next_placement import suggest_placement
 from optshape_graph.calibration.rig.reading import Read, read_sightings
-from optshape_graph.calibration.rig.result import DISAGREES, RigCalibration, RigSensor, RingError, SightingResult
+from optshape_graph.calibration.rig.result import RigCalibration, RigSensor, RingError, SightingResult
+from optshape_graph.calibration.rig.robust import solve_robustly
 from optshape_graph.calibration.rig.sightings import Kind, Sighting
 from optshape_graph.calibration.rig.start import Start, connected_by, find_start
 from optshape_graph.calibration.verdict import Finding
-from optshape_graph.errors import EstimationError
 from optshape_graph.factors import RANGE_BIAS
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import About, Session, load_session
 from optshape_graph.runs.kept import Kept
-from optshape_graph.se3 import adjoint, difference, inverse
-
-LIMIT = 35.0
-"""Chi-square of a sighting, six degrees of freedom, beyond which it contradicts the others."""
-
-LIKELY = 0.5
-"""Share of the limit within which a sighting that was left out agrees after all."""
-
-SLACK = np.diag([np.radians(1.0) ** 2] * 3 + [0.01**2] * 3)
-"""Covariance that stands for what a sighting's own leaves out, its rings' errors among it."""
+from optshape_graph.se3 import adjoint, inverse
 
 Progress = Callable[[int, int], None]
 """Called with how many files are done, and how many there are."""
@@ -98,8 +90,57 @@ def calibrate(read: Read, session: Session, options: Options | None = None) -> R
         EstimationError: there is one placement only, or the views contradict each other.
         UnobservableError: nothing connects some sensor with the others.
     """
+    rig = solve_rig(read, session, options or Options())
+    solved, sensors = rig.solved, rig.sensors
+    start = solved.graph.start
+    scatter, freedom = scatter_of(solved)
+    as_they_come = settled(rig.graph_as_they_come, set(solved.chi2), solved.solution.values)
+    result = RigCalibration(
+        sensors=tuple(_sensor(name, session, solved, as_they_come, rig.clocks) for name in sensors),
+        covariance=_covariance(solved, sensors, widening(scatter, freedom)),
+        time_covariance=_time_covariance(sensors, rig.clocks),
+        middle=middle_of(start.sightings, start.T_base_sensor),
+        scatter=scatter,
+        sightings=_results(start, solved, rig.left),
+        unobservable=tuple(direction.text for direction in solved.solution.unobservable),
+        next_placement=None,
+        findings=rig.findings,
+    )
+    result = replace(result, next_placement=suggest_placement(result, solved, _information(solved)))
+    used = [start.sightings[number] for number in solved.chi2]
+    return replace(result, findings=(*rig.findings, *judge(result, doubts(used), freedom)))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SolvedRig(Value):
+    """A rig's graph, solved.
+
+    Attributes:
+        sensors: names, the base first.
+        solved: the graph, with the sightings that take part.
+        left: why the others do not, by number.
+        clocks: what is known of the sensors'.
+        findings: what was seen on the way.
+    """
+
+    sensors: tuple[str, ...]
+    solved: RigSolution
+    left: Mapping[int, str]
+    clocks: Clocks
+    findings: tuple[Finding, ...]
+
+    @property
+    def graph_as_they_come(self) -> RigGraph:
+        """The graph for clouds whose rings nobody corrects."""
+        graph = self.solved.graph
+        return replace(graph, options=replace(graph.options, as_they_come=True), discrepancy={})
+
+
+def solve_rig(read: Read, session: Session, options: Options) -> SolvedRig:
+    """Connect a rig's sensors, and solve its graph; see `calibrate`."""
     sightings, findings = _with_pixel_noise(read.sightings), list[Finding]()
     check_numbers(sightings, str(session.path))
+    check_sensors(read, str(session.path))
     lenses = check_lenses(s.seen for s in sightings if isinstance(s.seen, TargetInImage))
     findings += _of_lenses(lenses)
     moving = [sighting for sighting in sightings if sighting.moving]
@@ -112,35 +153,27 @@ def calibrate(read: Read, session: Session, options: Options | None = None) -> R
     sensors = (base, *(name for name in read.sensors if name != base))
     places, offsets = _about(base, session.initial), dict[str, float]()
     if moving:
-        seen_still = {base, *(s.sensor for s in still)}
-        if len(seen_still) > 1:
+        if still:
             places = connected_by(still, base, places, session.platform_moves)
         places, offsets, moving = connect(moving, base, places)
     start = find_start(still, base, places, session.platform_moves, sensors)
-    options = options or Options()
     graph = RigGraph(start, base, options, free_lenses=frozenset(lens.camera for lens in lenses if lens.contradicted))
-    left, clocks = dict[int, str](), Clocks()
     if moving:
         solved, clocks = solve_moving(graph, moving, offsets)
-    else:
-        solved, left = _robustly(graph)
-    scatter, freedom = scatter_of(solved)
-    uncorrected = replace(solved.graph, options=replace(options, as_they_come=True), loss=np.inf, discrepancy={})
-    as_they_come = settled(uncorrected, set(solved.chi2), solved.solution.values)
-    result = RigCalibration(
-        sensors=tuple(_sensor(name, session, solved, as_they_come, clocks) for name in sensors),
-        covariance=_covariance(solved, sensors, widening(scatter, freedom)),
-        time_covariance=_time_covariance(sensors, clocks),
-        middle=middle_of(solved.graph.start.sightings, start.T_base_sensor),
-        scatter=scatter,
-        sightings=_results(solved.graph.start, solved, left),
-        unobservable=tuple(direction.text for direction in solved.solution.unobservable),
-        next_placement=None,
-        findings=tuple(findings),
-    )
-    result = replace(result, next_placement=suggest_placement(result, solved, _information(solved)))
-    used = [solved.graph.start.sightings[number] for number in solved.chi2]
-    return replace(result, findings=(*findings, *judge(result, doubts(used), freedom)))
+        return SolvedRig(sensors, solved, {}, clocks, tuple(findings))
+    solved, left = solve_robustly(graph)
+    return SolvedRig(sensors, solved, left, Clocks(), (*findings, *_of_discrepancies(solved)))
+
+
+def _of_discrepancies(solved: RigSolution) -> list[Finding]:
+    return [
+        Finding(
+            f"the scans of '{name}' are off by more than its sensor file lets expect: by {found.translation * 1e3:.1f} "
+            f"mm and {np.degrees(found.rotation):.2f} deg more (sd), which the covariances allow for",
+            False,
+        )
+        for name, found in solved.graph.discrepancy.items()
+    ]
 
 
 def _with_pixel_noise(sightings: Sequence[Sighting]) -> list[Sighting]:
@@ -176,86 +209,6 @@ def _about(base: str, initial: Sequence[About]) -> dict[str, Floats]:
                 found[about.a] = found[about.b] @ inverse(about.T_a_b)
     del found[base]
     return found
-
-
-def _robustly(graph: RigGraph) -> tuple[RigSolution, dict[int, str]]:
-    """Solve, leave out the worst sighting or take in those that turn out to agree, until nothing changes.
-
-    Returns:
-        The solution, and why sightings take no part, by number.
-    """
-    sightings = graph.start.sightings
-    used = _shared(graph, set(range(len(sightings))) - graph.start.strangers)
-    why = dict.fromkeys(graph.start.strangers, "")
-    values, tried = None, False
-    for _ in range(2 * len(sightings) + 2):
-        _check_sensors(graph, used)
-        solved = settled(graph, used, values)
-        values = solved.solution.values
-        scatter = max(1.0, scatter_of(solved)[0])
-        worst = max(solved.chi2, key=lambda number: solved.chi2[number])
-        if solved.chi2[worst] > LIMIT * scatter:
-            why[worst] = ""
-            used = _shared(graph, used - {worst})
-            continue
-        agreeing = set() if tried else {n for n in why if _distance(solved, n) < LIKELY * LIMIT * scatter}
-        if not agreeing:
-            break
-        why = {n: reason for n, reason in why.items() if n not in agreeing}
-        used, tried = used | agreeing, True
-    return solved, {number: _disagreement(solved, number) for number in why}
-
-
-def _shared(graph: RigGraph, used: set[int]) -> set[int]:
-    """Leave out sightings that have nothing to be compared with."""
-    if graph.moments:
-        return used
-    sensors: dict[str, set[str]] = {}
-    for number in used:
-        sighting = graph.start.sightings[number]
-        sensors.setdefault(sighting.placement, set()).add(sighting.sensor)
-    return {number for number in used if len(sensors[graph.start.sightings[number].placement]) > 1}
-
-
-def _check_sensors(graph: RigGraph, used: set[int]) -> None:
-    seeing = {graph.start.sightings[number].sensor for number in used}
-    if missing := [name for name in graph.start.T_base_sensor if name not in seeing]:
-        raise EstimationError(f"no view of {', '.join(missing)} agrees with those of the other sensors")
-
-
-def _predicted(solved: RigSolution, number: int) -> Floats | None:
-    """Where a sensor should see a target (4, 4); None where no other sensor tells."""
-    sighting, graph = solved.graph.start.sightings[number], solved.graph
-    values = solved.solution.values
-    keys = [graph.placements[sighting.placement]]
-    if sighting.moment in graph.moments:
-        keys.append(graph.moments[sighting.moment])
-    if not all(values.exists(key) for key in keys):
-        return None
-    T_base_target = solved.solution.pose(keys[0])
-    if len(keys) > 1:
-        T_base_target = inverse(solved.solution.pose(keys[1])) @ T_base_target
-    return inverse(solved.T_base_sensor(sighting.sensor)) @ T_base_target
-
-
-def _distance(solved: RigSolution, number: int) -> float:
-    """Squared distance of a sighting from where it should be, in standard deviations; infinite: nowhere."""
-    predicted, sighting = _predicted(solved, number), solved.graph.start.sightings[number]
-    if predicted is None:
-        return np.inf
-    x = difference(sighting.pose, predicted)
-    return float(x @ np.linalg.solve(sighting.candidates[sighting.reading].covariance + SLACK, x))
-
-
-def _disagreement(solved: RigSolution, number: int) -> str:
-    predicted, sighting = _predicted(solved, number), solved.graph.start.sightings[number]
-    if predicted is None:
-        return f"{DISAGREES}the only other sensor that saw the placement"
-    x = difference(predicted, sighting.pose)
-    moved = f": did '{sighting.target.name}' move?" if "@" not in sighting.placement else ""
-    return (
-        f"{DISAGREES}the others by {np.linalg.norm(x[3:]):.3f} m and {np.degrees(np.linalg.norm(x[:3])):.1f} deg{moved}"
-    )
 
 
 def _sensor(name: str, session: Session, solved: RigSolution, as_they_come: RigSolution, clocks: Clocks) -> RigSensor:

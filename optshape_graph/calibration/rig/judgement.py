@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.rig.graph import RigSolution
+from optshape_graph.calibration.rig.reading import Read
 from optshape_graph.calibration.rig.result import RigCalibration, RingError
 from optshape_graph.calibration.rig.sightings import Sighting
 from optshape_graph.calibration.verdict import Finding, of_doubts
@@ -19,7 +20,7 @@ from optshape_graph.errors import EstimationError
 from optshape_graph.se3 import angle, difference, inverse
 
 FEWEST, ENOUGH = 3, 8
-"""Placements that a sensor must share with others, and from which the result is not worth a warning."""
+"""Sightings that a sensor must have, and from which the result is not worth a warning."""
 
 SURE = 1e-3
 """Probability by chance below which sightings scatter more than they should."""
@@ -81,17 +82,12 @@ def judge(calibration: RigCalibration, doubts: Sequence[str], freedom: int) -> t
 
 
 def _of_numbers(calibration: RigCalibration) -> list[Finding]:
-    """Say which sensors share few placements with others."""
+    """Say which sensors have few sightings that take part."""
     findings = []
-    sensors: dict[str, set[str]] = {}
-    for sighting in calibration.sightings:
-        if sighting.used:
-            sensors.setdefault(sighting.placement, set()).add(sighting.sensor)
-    for name in calibration.names:
-        shared = sum(name in others for others in sensors.values())
-        if shared < ENOUGH:
-            text = f"'{name}' saw {shared} placements that take part; {ENOUGH} at least are wanted, turned freely"
-            findings.append(Finding(text, shared < FEWEST))
+    for sensor in calibration.sensors:
+        if sensor.sightings < ENOUGH:
+            text = f"{sensor.sightings} sightings of '{sensor.name}' take part; {ENOUGH} are wanted, turned freely"
+            findings.append(Finding(text, sensor.sightings < FEWEST))
     return findings
 
 
@@ -124,6 +120,19 @@ def _square(rings: Sequence[RingError]) -> tuple[float, int]:
     """Mean of the squares of errors that the session tells, their own uncertainty taken off, and their number."""
     known = [ring for ring in rings if ring.sigma < 0.7]
     return (float(np.mean([ring.value**2 for ring in known])) if known else 0.0), len(known)
+
+
+def check_sensors(read: Read, where: str) -> None:
+    """Raise if a sensor saw no target at all.
+
+    Raises:
+        EstimationError: names it, and says why its first view shows none.
+    """
+    seeing = {sighting.sensor for sighting in read.sightings}
+    for name in read.sensors:
+        if name not in seeing:
+            why = next((text for sensor, _, text in read.problems if sensor == name), "no view is of it")
+            raise EstimationError(f"{where}: '{name}' saw no target: {why}")
 
 
 def check_numbers(sightings: Sequence[Sighting], where: str) -> None:

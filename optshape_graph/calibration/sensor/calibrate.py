@@ -26,6 +26,7 @@ from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import AZIMUTH, EDGE_OFFSET, ELEVATION, RANGE_BIAS
 from optshape_graph.io.recordings import Recording
 from optshape_graph.io.sessions import Session, load_session
+from optshape_graph.runs.kept import Kept
 from optshape_graph.scan import put_right
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
@@ -59,6 +60,7 @@ def calibrate_sensor(
     distances: Sequence[Distance] = (),
     use_target_points: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    kept: Kept | None = None,
 ) -> SensorCalibration:
     """Calibrate a LiDAR's rings by boards that stood still in front of it.
 
@@ -71,6 +73,7 @@ def calibrate_sensor(
         distances: between boards, measured.
         use_target_points: take the crops by hand of sessions instead of looking for the boards.
         progress: called with the number of scans done, and their total.
+        kept: what was found in a run that was stopped, and is in this one (`runs.kept.keeping`); None: it is not kept.
 
     Raises:
         InputError: a source that can't be read or used, no sensor, or sensors that differ.
@@ -86,13 +89,13 @@ def calibrate_sensor(
             opened, its = one_lidar(opened, lidar, sensor)
             if sensor is None:
                 sensor = its
-            found, gone = of_session(opened, wanted, use_target_points, progress)
+            found, gone = of_session(opened, wanted, use_target_points, progress, kept or Kept())
         else:
             if sensor is None:
                 raise InputError(f"{opened.path}: a recording needs the sensor's file, or a built-in name")
             if not wanted:
                 raise InputError(f"{opened.path}: a recording needs the targets to look for")
-            found, gone = of_recording(opened, topic, wanted, sensor, progress)
+            found, gone = of_recording(opened, topic, wanted, sensor, progress, kept or Kept())
         if any(placement.markers is not None for placement in found):
             frames.append([len(placements) + k for k in range(len(found))])
         # Moments of different sources are different moments.

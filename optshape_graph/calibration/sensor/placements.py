@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +17,8 @@ from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.recordings import Recording
 from optshape_graph.io.sessions import Session
 from optshape_graph.pose import PoseEstimate, estimate_pose
+from optshape_graph.runs.files import fingerprint
+from optshape_graph.runs.kept import Kept
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import angle
 from optshape_graph.sensor import SensorModel
@@ -147,7 +151,11 @@ def one_lidar(session: Session, lidar: str | None, sensor: SensorModel | None) -
 
 
 def of_session(
-    session: Session, targets: Sequence[Target], use_target_points: bool, progress: Callable[[int, int], None]
+    session: Session,
+    targets: Sequence[Target],
+    use_target_points: bool,
+    progress: Callable[[int, int], None],
+    kept: Kept,
 ) -> tuple[tuple[Placement, ...], list[str]]:
     """Return the placements of a session's views, and what was left out, in words.
 
@@ -156,12 +164,13 @@ def of_session(
         targets: to look for; none: those of the session.
         use_target_points: take the crops by hand instead of looking for the boards.
         progress: called with the number of scans done, and their total.
+        kept: what was found in a run that was stopped, and is in this one.
 
     Raises:
         InputError: a scan or markers that can't be read.
     """
     if session.mocap is not None:
-        scans, left_out, _ = load_mocap_scans(session, progress=progress)
+        scans, left_out, _ = load_mocap_scans(session, progress=progress, kept=kept)
         sightings = [
             Sighting(k, scan.name, scan.estimate, scan.returns, scan.markers)
             for k, scan in enumerate(scans)
@@ -177,7 +186,10 @@ def of_session(
             wanted = targets or [session.targets[target] for target in view.targets]
             crop = view.target_points if use_target_points else None
             scan = read_scan(crop or view.cloud, sensor)
-            found = list(_cropped(k, scan, wanted) if crop else _detected(k, scan, wanted))
+            of = {"scan": fingerprint([str(crop or view.cloud)]), "crop": crop is not None, "moment": k,
+                  "sensor": sensor, "targets": wanted}  # fmt: skip
+            search = partial(_cropped if crop else _detected, k, scan, wanted)
+            found = kept(tuple[Sighting, ...], of, search)
             if not found:
                 left_out_views.append(f"{view.cloud.name}: no board found")
             yield from found
@@ -191,6 +203,7 @@ def of_recording(
     targets: Sequence[Target],
     sensor: SensorModel,
     progress: Callable[[int, int], None],
+    kept: Kept,
 ) -> tuple[tuple[Placement, ...], list[str]]:
     """Return the placements of a recording, and what was left out, in words.
 
@@ -200,29 +213,34 @@ def of_recording(
         targets: to look for.
         sensor: that made it.
         progress: called with the number of scans done, and their total.
+        kept: what was found in a run that was stopped, and is in this one.
     """
     stream = recording.scans(topic, sensor)
 
     def seen() -> Iterator[Sighting]:
         for k, stamped in enumerate(stream):
             progress(k, stream.expected or k + 1)
-            yield from _detected(k, stamped.value, targets)
+            scan = stamped.value
+            of = {"scan": fingerprint([str(recording.path), scan.name]), "topic": topic, "moment": k, "sensor": sensor,
+                  "targets": targets}  # fmt: skip
+            yield from kept(tuple[Sighting, ...], of, partial(_detected, k, scan, targets))
 
     placements = gather(seen(), FEWEST_STILL)
     return placements, [str(stream.skipped)] if stream.skipped else []
 
 
-def _detected(moment: int, scan: Scan, targets: Sequence[Target]) -> Iterator[Sighting]:
-    for found in detect_targets(scan, targets).found:
-        if found.estimate.status == "ok":
-            yield Sighting(moment, scan.name, found.estimate, scan.select(found.indices))
+def _detected(moment: int, scan: Scan, targets: Sequence[Target]) -> tuple[Sighting, ...]:
+    return tuple(
+        Sighting(moment, scan.name, found.estimate, scan.select(found.indices))
+        for found in detect_targets(scan, targets).found
+        if found.estimate.status == "ok"
+    )
 
 
-def _cropped(moment: int, returns: Scan, targets: Sequence[Target]) -> Iterator[Sighting]:
+def _cropped(moment: int, returns: Scan, targets: Sequence[Target]) -> tuple[Sighting, ...]:
     for target in targets[:1]:
-        try:
+        with suppress(EstimationError):
             estimate = estimate_pose(returns, target)
-        except EstimationError:
-            return
-        if estimate.status == "ok":
-            yield Sighting(moment, returns.name, estimate, returns)
+            if estimate.status == "ok":
+                return (Sighting(moment, returns.name, estimate, returns),)
+    return ()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,6 +20,7 @@ from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.io import load_sensor
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation.noise import NoiseModel
+from optshape_graph.simulation.rays import AngleErrors
 from optshape_graph.simulation.scene import simulate_target
 from optshape_graph.target import Chessboard, Target
 
@@ -53,18 +54,20 @@ T_CAMERA_LIDAR = transform(AXES @ Rotation.from_rotvec([0.03, 0.07, -0.05]).as_m
 
 @dataclass(frozen=True)
 class Sensor:
-    """A simulated LiDAR with the ring biases it keeps."""
+    """A simulated LiDAR with the errors of its rings that it keeps, to which all boards are equally bright."""
 
     name: str
     model: SensorModel
     noise: NoiseModel
     range_bias: Floats
+    angle_errors: AngleErrors
 
     @classmethod
     def drawn(cls, name: str, rng: np.random.Generator, mean_bias: float = 0.0) -> Sensor:
-        model = load_sensor("vlp16")
-        noise = NoiseModel.of(model)
-        return cls(name, model, noise, mean_bias + noise.draw_range_bias(model.n_rings, rng))
+        model = replace(load_sensor("vlp16"), brightness_bias=0.0, blooming=0.0)
+        noise = replace(NoiseModel.of(model), odd_ends=0.0)
+        bias = mean_bias + noise.draw_range_bias(model.n_rings, rng)
+        return cls(name, model, noise, bias, noise.draw_angle_errors(model.n_rings, rng))
 
 
 def placement(rng: np.random.Generator, tilt: float = 0.5) -> Floats:
@@ -77,8 +80,9 @@ def placement(rng: np.random.Generator, tilt: float = 0.5) -> Floats:
 
 def seen_by_lidar(sensor: Sensor, T_lidar_target: Floats, target: Target, rng: np.random.Generator) -> TargetInScan:
     scan = simulate_target(
-        target, sensor.model, T_lidar_target, noise=sensor.noise, rng=rng, range_bias=sensor.range_bias
-    )
+        target, sensor.model, T_lidar_target, noise=sensor.noise, rng=rng, range_bias=sensor.range_bias,
+        angle_errors=sensor.angle_errors,
+    )  # fmt: skip
     return target_in_scan(scan, target, sensor.name)
 
 

@@ -215,8 +215,9 @@ def test_leave_one_out_does_not_see_the_view(views, calibration):
     assert min(abs(left_out.centre_error_mm - d) for d in distances) < 0.3
 
 
-def test_suggested_placement_helps(views, calibration):
-    place = calibration.next_placement("lidar", "cam")
+def test_suggested_placement_helps(views):
+    few = views[:5]
+    place = calibrate(few).next_placement("lidar", "cam")
     assert place.expected_sigma_m < place.sigma_m
     rng = np.random.default_rng(10)
     sensor = Sensor.drawn("lidar", np.random.default_rng(0), 0.02)
@@ -224,7 +225,7 @@ def test_suggested_placement_helps(views, calibration):
     extra = View(
         "extra", BOARD, seen_by_lidar(sensor, T, BOARD, rng), seen_by_camera(FISHEYE, T_CAMERA_LIDAR @ T, BOARD, rng)
     )
-    after = calibrate([*views, extra]).directions("lidar", "cam")[0].sigma_m
+    after = calibrate([*few, extra]).directions("lidar", "cam")[0].sigma_m
     assert after < place.sigma_m
 
 
