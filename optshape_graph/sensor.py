@@ -197,7 +197,7 @@ class SensorModel(Value):
 
     @property
     def deviations(self) -> tuple[Floats, Floats, Floats]:
-        """By how much a ring's range is too long, metres, its elevation and its azimuth too low, rad, as reported."""
+        """(R,) metres by which ranges are too long, (R,) and (R,) rad by which elevations and azimuths are too low."""
         nothing = np.zeros(self.n_rings)
         range_bias = nothing if self.range_bias is None else self.range_bias
         reported, offsets = self.reported_elevations, self.reported_azimuth_offsets

@@ -17,15 +17,11 @@ from optshape_graph.factors import (
     TemplateMeasurement,
     summarise,
 )
-from optshape_graph.factors.static import OF_RINGS, OF_SENSOR, RANGE_BIAS
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
 from optshape_graph.pose import PoseEstimate, PoseOptions
 from optshape_graph.se3 import PoseLike, as_transform, inverse
 from optshape_graph.target import Target
-
-KEPT = (*OF_RINGS, *OF_SENSOR)
-"""Kinds of errors that a LiDAR keeps from scan to scan: of its rings, and how far in the returns at edges lie."""
 
 LOOSEST = 10.0
 """Standard deviation, rad or metres, beyond which a measurement does not determine a pose."""
@@ -89,7 +85,7 @@ class Sighting(Value):
         other = estimate.ambiguity.T_lidar_target
         if other is not None and estimate.ambiguity.margin < PoseOptions.ambiguity_margin:
             measurements = (best, best.substituted(best.T_target_lidar @ other))
-        return cls(estimate.target, measurements, landmark, shape, _biased(estimate) if biases else None)
+        return cls(estimate.target, measurements, landmark, shape, estimate.of_sensor if biases else None)
 
     def moved(self, T_lidar_then: Floats, covariance: Floats | None = None) -> Sighting:
         """Return the sighting as one from another pose of the LiDAR.
@@ -273,21 +269,3 @@ class MappingProblem(Value):
     def matches(self) -> tuple[tuple[int, Match], ...]:
         """All matches, each with the number of its track, in the order of tracks and matches."""
         return tuple((t, match) for t, track in enumerate(self.tracks) for match in track.matches)
-
-
-def _biased(estimate: PoseEstimate) -> BiasedMeasurement | None:
-    """What the estimate's returns say before errors that the LiDAR keeps are marginalised.
-
-    Others are of one scan: where the target ends between two rings, and what isn't known of the board itself. Scans
-    share biases of ranges in metres: their unit is the sensor file's deviation, however large a scan shows them.
-    """
-    if estimate.shared is None:
-        return None
-    kept = estimate.shared.without(
-        [
-            error
-            for error in estimate.shared.shared
-            if error.kind not in KEPT or (error.ring is None and error.kind not in OF_SENSOR)
-        ]
-    )
-    return kept.rescaled(RANGE_BIAS, 1.0 / estimate.fit.bias_factor)

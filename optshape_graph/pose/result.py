@@ -11,7 +11,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Ints, Value, frozen, shortened
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.measurement import TemplateMeasurement
-from optshape_graph.factors.static import BiasedMeasurement
+from optshape_graph.factors.static import OF_RINGS, OF_SENSOR, RANGE_BIAS, BiasedMeasurement
 from optshape_graph.io.records import to_record
 from optshape_graph.io.results import RECORD, Result, Row, one_scan
 from optshape_graph.pose.certificate import Certificate
@@ -152,6 +152,24 @@ class PoseEstimate(Result):
             shared=None if self.shared is None else self.shared.substituted(turn),
             labels=renamed[self.labels],
         )
+
+    @property
+    def of_sensor(self) -> BiasedMeasurement | None:
+        """What the returns say before the errors that the LiDAR keeps are marginalised; None for `method="paper"`.
+
+        Others are of one scan: where the target ends between two rings, and what isn't known of the board itself. Scans
+        share biases of ranges in metres: their unit is the sensor file's deviation, however large a scan shows them.
+        """
+        if self.shared is None:
+            return None
+        kept = self.shared.without(
+            [
+                error
+                for error in self.shared.shared
+                if not (error.kind in OF_SENSOR or (error.kind in OF_RINGS and error.ring is not None))
+            ]
+        )
+        return kept.rescaled(RANGE_BIAS, 1.0 / self.fit.bias_factor)
 
     @property
     def inset_rad(self) -> float:

@@ -39,8 +39,8 @@ def synthetic_session(
 ) -> Path:
     """Write a session folder: scans of a target's returns, markers.csv, session.yaml, and truth.json.
 
-    At each distance the target is placed twice, roughly face-on and roughly at the paper's extreme angle. Range
-    biases of the rings are the same in all scans. The markers are rigid to the target, each about 1.5 cm from its
+    At each distance the target is placed twice, roughly face-on and roughly at the paper's extreme angle. Errors of
+    the rings are the same in all scans. The markers are rigid to the target, each about 1.5 cm from its
     vertex in a direction of its own, and seen in a motion-capture frame that is unknown to the LiDAR.
 
     Args:
@@ -62,7 +62,7 @@ def synthetic_session(
     folder, rng = Path(folder), np.random.default_rng(rng)
     folder.mkdir(parents=True, exist_ok=True)
     noise = NoiseModel.of(sensor) if noise is None else noise
-    range_bias = noise.draw_range_bias(sensor.n_rings, rng)
+    range_bias, angle_errors = noise.draw_range_bias(sensor.n_rings, rng), noise.draw_angle_errors(sensor.n_rings, rng)
     T_lidar_mocap = pose_from_rpy(rng.uniform(-2.0, 2.0, 3), rng.uniform(-0.5, 0.5, 3))
     T_mocap_lidar = inverse(T_lidar_mocap)
     layout = target.vertices + MARKER_OFFSET * _unit_vectors(len(target), rng)
@@ -74,7 +74,9 @@ def synthetic_session(
         for angle, base in (("", np.zeros(3)), ("_angled", np.radians([20.0, 30.0, 30.0]))):
             file = f"{distance:g}m{angle}.pcd"
             T = pose_from_rpy([distance, *rng.normal(0.0, 0.1, 2)], base + rng.normal(0.0, np.radians(4.0), 3))
-            scan = simulate_target(target, sensor, T, noise=noise, rng=rng, range_bias=range_bias, name=file)
+            scan = simulate_target(
+                target, sensor, T, noise=noise, rng=rng, range_bias=range_bias, angle_errors=angle_errors, name=file
+            )
             if len(scan) == 0:
                 raise EstimationError(f"{folder / file}: no ray of sensor '{sensor.name}' hit target '{target.name}'")
             write_scan(folder / file, scan)

@@ -4,6 +4,7 @@ E     T_lidar_mocap
 M_k   the marker near vertex k, target frame: a prior at the vertex, which alone tells a displacement of all markers
 from one of the frame
 H_i   T_target_lidar of scan i: its returns constrain it by the exact template factor, its markers by M and E
+B     errors of the LiDAR's rings, which its scans share
 S     scale of the motion capture, where it is estimated
 """
 
@@ -14,13 +15,13 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import E, H, M, S
+from gtsam.symbol_shorthand import B, E, H, M, S
 
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.mocap.comparison import MocapScan
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors import CheckedFactor
-from optshape_graph.graph import Templates
+from optshape_graph.graph import SharedErrors, Templates
 from optshape_graph.graph import solve as minimise
 from optshape_graph.se3 import apply, difference, inverse, skew
 
@@ -116,8 +117,12 @@ def solve(
     for i in everyone:
         values.insert(H(i), gtsam.Pose3(scans[i].estimate.T_target_lidar))
         factors.push_back(marker_factor(scans[i].markers, i, model.noise, model.with_scale))
-    returns = Templates.of([scans[i].estimate.measurement for i in used], [[H(i)] for i in used])
-    found = minimise(values, [returns], factors, names={E(0): "T_lidar_mocap"})
+    shared = {i: one for i in used if (one := scans[i].estimate.of_sensor) is not None}
+    alone = [i for i in used if i not in shared]
+    returns = SharedErrors.of(list(shared.values()), [[H(i)] for i in shared], [B(0)] * len(shared))
+    returns.insert(values)
+    others = Templates.of([scans[i].estimate.measurement for i in alone], [[H(i)] for i in alone])
+    found = minimise(values, [returns, others], factors, names={E(0): "T_lidar_mocap", B(0): "the rings' errors"})
     if not found.converged:
         raise EstimationError("the motion-capture graph did not converge")
     return Solution(

@@ -22,6 +22,7 @@ from optshape_graph.calibration.sensor.unknowns import EDGE_SYSTEMATIC
 from optshape_graph.factors import AZIMUTH, EDGE_OFFSET, ELEVATION, RANGE_BIAS, fuse_static, refine
 from optshape_graph.io import load_session, load_target
 from optshape_graph.pose import estimate_pose
+from optshape_graph.scan import Scan
 from optshape_graph.se3 import apply, difference, inverse, inverse_covariance
 from optshape_graph.simulation import pose_from_rpy
 from tests.calibration.sensor.units import ANGLE, Unit, sightings
@@ -169,12 +170,12 @@ def test_ten_revolutions(distance: float, units: list[tuple[Unit, SensorCalibrat
     assert rms["calibrated"] <= ASKED[int(distance)][1]
 
 
-def fused(T: Floats, returns: list) -> tuple[float, float] | None:
+def fused(T: Floats, returns: list[Scan]) -> tuple[float, float] | None:
     estimates = [estimate_pose(one, load_target("paper")) for one in returns]
-    ok = [one for one in estimates if one.status == "ok" and one.shared is not None]
+    ok = [one for one in estimates if one.status == "ok"]
     if len(ok) < 8:
         return None
-    whole = fuse_static([one.shared for one in ok if one.shared is not None], 1.0)
+    whole = fuse_static([measured for one in ok if (measured := one.of_sensor) is not None], 1.0)
     T_target_lidar = refine(whole.at(ok[0].T_target_lidar))
     covariance = inverse_covariance(T_target_lidar, np.linalg.inv(whole.information(T_target_lidar)))
     return of_pose(T, inverse(T_target_lidar), covariance)

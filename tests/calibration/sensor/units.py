@@ -42,8 +42,8 @@ class Unit:
 
     @classmethod
     def drawn(cls, name: str, rng: np.random.Generator) -> Unit:
-        """Draw a copy of a built-in sensor."""
-        sensor = load_sensor(name)
+        """Draw a copy of a built-in sensor, which errs by its rings and at edges alone: surfaces are alike."""
+        sensor = replace(load_sensor(name), brightness_bias=0.0, blooming=0.0)
         noise = replace(NoiseModel.of(sensor), hit_fraction=float(rng.uniform(0.02, 0.98)), common_edge_spread=0.0)
         n = sensor.n_rings
         angles = AngleErrors(ANGLE * rng.normal(size=n), ANGLE * rng.normal(size=n))
