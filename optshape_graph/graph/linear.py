@@ -7,7 +7,7 @@ else is not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,6 +31,50 @@ FEW_DIRECTIONS, MOST_DIRECTIONS = 7, 24
 
 VANISHING = 1e-14
 """Information of the prior, in units of each unknown's own."""
+
+
+RANK = 1e-13
+"""Eigenvalue, in units of each unknown's own information, under which a factor in information form has no row."""
+
+
+def stacked(
+    linear: gtsam.GaussianFactorGraph, dims: Mapping[int, int]
+) -> tuple[sparse.csc_matrix[np.float64], dict[int, slice]]:
+    """Return the rows [A b] (m, n + 1) of a linear graph, and the columns of each variable by key.
+
+    GTSAM's own rows of a factor in information form come of a Cholesky factorisation, which some that are singular, as
+    few rows on many unknowns are, make fail: here they are of the eigenvalues.
+
+    Args:
+        linear: the graph.
+        dims: of all variables, by key. What no factor touches has empty columns.
+    """
+    columns, n = {}, 0
+    for key in sorted(dims):
+        columns[key] = slice(n, n + dims[key])
+        n += dims[key]
+    rows, plain = [], gtsam.GaussianFactorGraph()
+    for factor in (linear.at(i) for i in range(linear.size())):
+        if not isinstance(factor, gtsam.HessianFactor):
+            plain.push_back(factor)
+            continue
+        M = factor.augmentedInformation()
+        scale = np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
+        values, vectors = np.linalg.eigh(M / np.outer(scale, scale))
+        kept = values > RANK
+        R = np.sqrt(values[kept])[:, None] * vectors[:, kept].T * scale
+        keys = list(factor.keys())
+        where = np.concatenate([*(np.arange(columns[key].start, columns[key].stop) for key in keys), [n]])
+        i, j = np.indices(R.shape)
+        rows.append(sparse.csc_matrix((R.ravel(), (i.ravel(), where[j.ravel()])), shape=(len(R), n + 1)))
+    # GTSAM numbers columns by sorted key, from 1, over the variables its factors touch; the last one is b.
+    touched = sorted(set(plain.keyVector()))
+    where = np.concatenate([*(np.arange(columns[key].start, columns[key].stop) for key in touched), [n]])
+    row, column, entry = plain.sparseJacobian_()
+    i, j = row.astype(int) - 1, where[column.astype(int) - 1].astype(int)
+    m = int(i.max()) + 1 if len(i) else 0
+    rows.append(sparse.csc_matrix((entry, (i, j)), shape=(m, n + 1)))
+    return sparse.csc_matrix(sparse.vstack(rows)), columns
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,22 +102,11 @@ class LinearSystem(Value):
         Raises:
             EstimationError: a factor's residual or Jacobian is not finite.
         """
-        dims = values.dims()
-        columns, n = {}, 0
-        for key in sorted(dims):
-            columns[key] = slice(n, n + dims[key])
-            n += dims[key]
-        # GTSAM numbers columns by sorted key, from 1, over the variables its factors touch; the last one is b.
-        touched = sorted(set(linear.keyVector()))
-        where = np.concatenate([np.arange(columns[key].start, columns[key].stop) for key in touched] + [[n]])
         # The sparse entries leave out what is not finite; the gradient does not.
         if not np.isfinite(linear.gradientAtZero().norm()):
             raise EstimationError("a factor's residual or Jacobian is not finite")
-        row, column, entry = linear.sparseJacobian_()
-        i, j = row.astype(int) - 1, where[column.astype(int) - 1].astype(int)
-        m = int(i.max()) + 1 if len(i) else 0
-        augmented = sparse.csc_matrix((entry, (i, j)), shape=(m, n + 1))
-        return cls(sparse.csr_matrix(augmented[:, :n]), augmented[:, [n]].toarray().ravel(), columns)
+        augmented, columns = stacked(linear, values.dims())
+        return cls(sparse.csr_matrix(augmented[:, :-1]), augmented[:, [-1]].toarray().ravel(), columns)
 
     @cached_property
     def information(self) -> sparse.csc_matrix[np.float64]:

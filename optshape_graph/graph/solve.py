@@ -9,6 +9,7 @@ import numpy as np
 
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.graph.chain import State
+from optshape_graph.graph.linear import stacked
 from optshape_graph.graph.solution import Solution, linearised
 from optshape_graph.graph.terms import Model, Term, add_rows
 
@@ -93,12 +94,11 @@ def _step(
 ) -> gtsam.VectorValues | None:
     """The step, with a damping relative to each unknown's information; None if that leaves it singular."""
     if damping:
-        _, column, entry = linear.sparseJacobian_()  # columns from 1, in the order of the keys; the last one is b
-        information = np.bincount(column.astype(int) - 1, np.square(entry))
-        linear, first = linear.clone(), 0
-        for key in sorted(linear.keyVector()):
-            own = information[first : first + dims[key]]
-            first += dims[key]
+        rows, columns = stacked(linear, dims)
+        information = np.asarray(rows.multiply(rows).sum(axis=0)).ravel()
+        linear = linear.clone()
+        for key in sorted(set(linear.keyVector())):
+            own = information[columns[key]]
             root = np.sqrt(damping * np.maximum(own, 1e-6 * max(own.max(), 1.0)))
             add_rows(linear, [key], [np.diag(root)], np.zeros(len(root)))
     try:

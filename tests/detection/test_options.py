@@ -24,6 +24,10 @@ def free() -> tuple[Scan, list]:
     return scan_of(VLP32C, [(PAPER, T)], seed=1).scan, [PAPER]
 
 
+def slanted() -> tuple[Scan, list]:
+    return scan_of(VLP32C, [(PAPER, pose(5, 0, 0.1, 0, 0, 55))], seed=1).scan, [PAPER]
+
+
 def with_pole() -> tuple[Scan, list]:
     at = pose(8, 0.2, 0, 0, 0, -5)
     pole = Box(np.array([0.05, 0.05, 1.8]), pose(*(at[:3, 3] + 0.05 * at[:3, 0] - [0, 0, 0.9])))
@@ -64,7 +68,7 @@ def in_the_hands() -> tuple[Scan, list]:
 
 
 WRONG = [
-    ("longest_gap", 0.5, free), ("steepest", np.radians(5.0), free), ("jump_sigmas", 0.3, free),
+    ("longest_gap", 0.5, free), ("steepest", np.radians(5.0), slanted), ("jump_sigmas", 0.3, free),
     ("fewest_returns", 60, free), ("rings_apart", 0, free),
     ("patch_sigmas", 0.1, free), ("band_sigmas", 0.2, free), ("warp", 1e-6, free), ("fewest_rings", 40, free),
     ("size_seen", 1.3, free), ("size_excess", -0.4, free), ("thickest_limb", 3.0, with_arm),

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
 
-from optshape_graph.graph import linear
+from optshape_graph.graph import add_rows, linear
 from optshape_graph.graph.linear import LinearSystem
 from tests.factors.support import random_pose
 
@@ -68,3 +68,22 @@ def test_decrement_is_what_a_step_gains():
     step = graph.linearize(moved).optimize()
     gained = graph.error(moved) - graph.error(moved.retract(step))
     assert system.decrement == pytest.approx(gained, rel=0.02)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e7])
+def test_few_rows_on_many_variables_are_rows_again(size):
+    """Two rows on four variables of six each: in GTSAM a factor in information form, singular, and huge."""
+    rng = np.random.default_rng(0)
+    blocks, b = [size * rng.normal(size=(2, 6)) for _ in range(4)], size * rng.normal(size=2)
+    linear, values = gtsam.GaussianFactorGraph(), gtsam.Values()
+    for key in range(4):
+        values.insert(key, np.zeros(6))
+    add_rows(linear, [3, 0, 2, 1], blocks, b)
+    add_rows(linear, [2], [np.eye(6)], np.zeros(6))
+    system = LinearSystem.of(linear, values)
+    A = np.zeros((8, 24))
+    for key, block in zip([3, 0, 2, 1], blocks, strict=True):
+        A[:2, 6 * key : 6 * key + 6] = block
+    A[2:, 12:18] = np.eye(6)
+    assert np.allclose(system.information.toarray(), A.T @ A, rtol=1e-9, atol=1e-9 * size**2)
+    assert np.allclose(system.A.T @ system.b, A.T @ np.append(b, np.zeros(6)), rtol=1e-7, atol=1e-7 * size**2)

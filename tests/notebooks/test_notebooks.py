@@ -36,7 +36,7 @@ def check_outputs(notebook: nbformat.NotebookNode) -> None:
 
 
 def test_there_are_seven() -> None:
-    assert [path.name[:2] for path in NOTEBOOKS] == ["01", "02", "03", "04", "05", "06"]
+    assert [path.name[:2] for path in NOTEBOOKS] == ["01", "02", "03", "04", "05", "06", "07"]
 
 
 @each

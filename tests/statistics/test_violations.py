@@ -26,8 +26,9 @@ SEED = 4003
 
 THREE_SIGMA = chi2.ppf(0.997, 6)
 
-UNTELLABLE = ("moving 5 m/s", "moving 20 m/s")
-"""What one scan can't tell: a motion towards the target is a yaw of it, one across a stretch."""
+UNTELLABLE = ("moving 5 m/s", "moving 20 m/s", "brightness x 3")
+"""What one scan can't tell: a motion towards the target is a yaw of it, one across a stretch; and an error that all
+ranges share."""
 
 
 def by_caster(target: Target, sensor: SensorModel, T: np.ndarray, rng: np.random.Generator) -> Scan:

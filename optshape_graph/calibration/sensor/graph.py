@@ -62,7 +62,7 @@ class Joint(Value):
         T_target_lidar: (4, 4) of each placement.
         errors: (k,) the shared errors.
         beta: (k,) they, in prior standard deviations.
-        covariance: (k, k) of them, likewise.
+        covariance: (k, k) of them, in those standard deviations squared.
         seen: everything that was seen, with its Gaussians.
         rounds: turns taken.
         settled: whether more would change nothing.

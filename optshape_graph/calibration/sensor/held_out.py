@@ -79,7 +79,15 @@ def about_errors(seen: Sequence[Seen], T_target_lidar: Floats) -> tuple[Floats, 
 
 
 def posterior_of(joint: Joint, errors: Sequence[SharedError], kinds: Collection[str]) -> tuple[Floats, Floats]:
-    """Return mean (k,) and covariance (k, k) of errors of some kinds by a solution; others keep their prior."""
+    """Return mean (k,) and covariance (k, k) of errors of some kinds by a solution, in prior standard deviations.
+
+    Others keep their prior.
+
+    Args:
+        joint: the solution.
+        errors: k of them.
+        kinds: of errors that are taken from it.
+    """
     place: Mapping[SharedError, int] = {error: i for i, error in enumerate(joint.errors)}
     known = np.array([k for k, error in enumerate(errors) if error in place and error.kind in kinds], int)
     there = np.array([place[errors[k]] for k in known], int)

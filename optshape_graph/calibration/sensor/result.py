@@ -50,7 +50,7 @@ class SensorCalibration(Result):
         drift: standard deviation of what each placement has of its own in each ring's range bias, metres.
         before: (R,) root mean square, over the placements left out, of how far a ring's returns are behind the board,
             by the given file, metres; NaN for rings that were not on one.
-        after: (R,) the same by the calibration of the others.
+        after: (R,) the same by the calibration of the others, metres.
         left_out: scans that took no part, and why.
         findings: what is wrong, or has to be known.
     """

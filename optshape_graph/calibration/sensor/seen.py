@@ -199,9 +199,9 @@ class Seen(Value):
 
         Args:
             T_target_lidar: (4, 4) of the solution.
-            place: numbers, among the errors of the solution, of those of `rows`.
-            beta: (k,) all errors of the solution.
-            covariance: (6 + k, 6 + k) of the right perturbation of the pose, and of the errors.
+            place: (j,) numbers, among the errors of the solution, of those of `rows`.
+            beta: (k,) all errors of the solution, in prior standard deviations.
+            covariance: (6 + k, 6 + k) of the right perturbation of the pose, rad and metres, and of the errors.
             relabel: whether rings may leave by another edge now.
         """
         rows = self.rows(T_target_lidar)
@@ -236,8 +236,8 @@ class EdgeRows(Value):
     """Residuals A z + B beta + constant of ring ends across their edges, metres.
 
     Attributes:
-        A: (M, 12).
-        B: (M, k).
+        A: (M, 12) by the entries of z, metres for each.
+        B: (M, k) metres for a prior standard deviation of each error.
         constant: (M,) metres.
         errors: (k,) what beta is.
         geometry: of the ring ends.

@@ -88,7 +88,7 @@ class RingDeviations(Value):
             sensor: the file that is calibrated.
             errors: (k,) the unknowns.
             beta: (k,) in prior standard deviations.
-            sd: (k,) of them, likewise.
+            sd: (k,) of them, in prior standard deviations.
         """
         columns = []
         for kind in (RANGE_BIAS, ELEVATION, AZIMUTH):
