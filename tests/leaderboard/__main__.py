@@ -132,7 +132,7 @@ COLUMNS = (
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scans", type=int, default=100, help="of each target in each cell")
+    parser.add_argument("--scans", type=int, default=60, help="of each target in each cell")
     arguments = parser.parse_args()
     found = run(arguments.scans)
     where = ", ".join(f"{sensor} at {distance:g} m" for sensor, distance in CELLS)
