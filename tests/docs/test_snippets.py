@@ -73,7 +73,7 @@ def options() -> set[str]:
 
 @each_page
 def test_what_pages_name_exists(page: Path) -> None:
-    text = re.sub(r"pip install[^\n`]*", "", page.read_text())
+    text = re.sub(r"pip install[^\n`]*|dask (scheduler|worker)[^`]*", "", page.read_text())  # options of others
     assert set(re.findall(r"`optshape ([a-z]+)", text)) <= set(COMMANDS)
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]+", text)) <= options()
     for name in re.findall(r"`(?:notebooks/)?(\d\d_\w+\.ipynb)`", text):
