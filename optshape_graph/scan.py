@@ -107,7 +107,7 @@ def put_right(scan: Scan) -> Scan:
 
 
 def moved(points: Floats, ring: Ints, range_bias: Floats, elevation: Floats, azimuth: Floats) -> Floats:
-    """Return points (N, 3) with their rings' ranges shortened and their directions turned.
+    """Return points (N, 3), metres, with their rings' ranges shortened and their directions turned.
 
     Args:
         points: (N, 3) metres, LiDAR frame.

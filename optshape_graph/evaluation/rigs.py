@@ -100,7 +100,7 @@ class SimulatedRig(Value):
         return inverse(self.T_base_sensor[a]) @ self.T_base_sensor[b]
 
     def scan(self, lidar: str, target: Target, T_base_target: Floats, rng: np.random.Generator, name: str) -> Scan:
-        """Return a LiDAR's returns on a target."""
+        """Return a LiDAR's returns on a target whose pose is T_base_target (4, 4), metres."""
         T = inverse(self.T_base_sensor[lidar]) @ T_base_target
         return simulate_target(
             target, self.lidars[lidar], T, noise=NoiseModel.of(self.lidars[lidar]), rng=rng,
@@ -231,6 +231,9 @@ def write_rig_session(
 
     Returns:
         The path of session.yaml.
+
+    Raises:
+        EstimationError: no sensor sees a target.
     """
     folder, rng = Path(folder), np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)

@@ -204,7 +204,7 @@ def eliminate_translation(Q: Floats, kept: Sequence[int] = ()) -> tuple[Floats, 
     """Minimise a form (13, 13) in [vec R; t; 1] over t.
 
     Args:
-        Q: the form.
+        Q: (13, 13) the form.
         kept: components of t that stay.
 
     Returns:
@@ -225,7 +225,7 @@ def lower_bound(Q: Floats, backend: Backend = "clarabel", R_in_front: Floats | N
     Args:
         Q: (13, 13) symmetric positive semidefinite, cost [z; 1]^T Q [z; 1], z = [vec R (column-major); t].
         backend: "cvxpy": the modelling layer above the same solver; any other: Clarabel, since no pose is known.
-        R_in_front: (3, 3) R* of a pose with the sensor on the -x side: then only such poses are bounded, tightly where
+        R_in_front: (3, 3) rotation R* (no unit) of a pose with the sensor on the -x side: then only such poses are bounded, tightly where
             it is the best of them. None: all are.
 
     Raises:

@@ -169,7 +169,7 @@ class EdgeGeometry(Value):
         own: (C, M) variance across the edge, quantisation apart, m2: each edge point's own, and its ring's.
         of_ring: (C, M) the part of it that errors of elevations and azimuths make, m2.
         lifted: (C, M) how far each edge point moves across its edge with its ring's elevation, metres per radian.
-        turned: (C, M) the same of its azimuth.
+        turned: (C, M) the same with its azimuth, metres per radian.
     """
 
     labels: Ints

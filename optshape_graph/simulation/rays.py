@@ -31,7 +31,7 @@ class EdgeMargin(Value):
         divergence: full angle of the beam, rad.
         aperture: width of the beam where it leaves the sensor, metres.
         further: azimuth by which a ray may pass outside beside, rad: blooming. Negative: by which it must pass inside.
-        axis: (3,) of the revolution, world frame.
+        axis: (3,) unit vector along that of the revolution, world frame.
     """
 
     radii: Floats

@@ -147,7 +147,7 @@ def test_real_sessions() -> None:
         ),
         (
             SHORT.replace("sensor: vlp16\n", ""),
-            "expected 'sensor' or 'lidars' or 'camera' or 'cameras', found only: schema, name",
+            "a scan, but the session names no LiDAR",
         ),
         (SHORT.replace("target: board.yaml\n", ""), "expected 'target' or 'targets', found only: schema, name, sensor"),
         (

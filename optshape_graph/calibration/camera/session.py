@@ -206,7 +206,11 @@ def read_images(
 
 
 def check_found(session: Session, found: Iterable[object], kind: type, what: str) -> None:
-    """Raise with the reasons where no file shows a target."""
+    """Raise with the reasons where no file shows a target.
+
+    Raises:
+        EstimationError: none does.
+    """
     results = list(found)
     if not any(isinstance(one, kind) for one in results):
         folder = f"{session.path.parent}/"
@@ -232,7 +236,11 @@ def read_scans(
     unused: Counter[str],
     kept: Kept,
 ) -> dict[tuple[Path, str, str], ScanResult]:
-    """Find targets in scans, by file, LiDAR and target."""
+    """Find targets in scans, by file, LiDAR and target.
+
+    Raises:
+        InputError: a file that cannot be read.
+    """
     results: dict[tuple[Path, str, str], ScanResult] = {}
     for (path, lidar), names in tasks.items():
         targets = {name: session.targets[name] for name in names}
@@ -294,6 +302,11 @@ def _detected(scan: Scan, lidar: str, targets: Mapping[str, Target]) -> dict[str
 
 
 def scan_file(entry: Entry, use_target_points: bool) -> Path:
+    """Return a view's file: the cloud, or the target's returns cropped by hand.
+
+    Raises:
+        InputError: the view has none.
+    """
     if not use_target_points:
         return entry.cloud
     if entry.target_points is None:

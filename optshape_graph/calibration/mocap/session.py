@@ -110,12 +110,21 @@ def _estimated(
 
 
 def of_vertices(frame: Mapping[str, Floats], names: Sequence[str]) -> Floats:
-    """Return the positions (n, 3) of the markers with these names, NaN where a name is empty."""
+    """Return the positions (n, 3), metres, of the markers with these names, NaN where a name is empty.
+
+    Args:
+        frame: positions (3,) of markers, metres, by name.
+        names: of the markers.
+    """
     return np.array([frame[name] if name else np.full(3, np.nan) for name in names])
 
 
 def markers_of_vertices(mocap: Mocap, target: Target, path: Path) -> list[str]:
-    """For each vertex the name of the marker near it, "" where there is none."""
+    """Return for each vertex the name of the marker near it, "" where there is none.
+
+    Raises:
+        InputError: the session does not say, and the markers' distances do not tell.
+    """
     if mocap.vertices:
         names = [""] * len(target)
         for marker, (_, vertex) in mocap.vertices.items():

@@ -71,7 +71,7 @@ class Linked(Value):
 
     Attributes:
         keys: of the variables.
-        blocks: (6, d_k) derivatives.
+        blocks: (6, d_k) derivatives, whitened.
         d: (6,) whitened.
         by_pose: (6, 6) by the right perturbation of T_target_lidar, or of T_sensor_target of an image or of markers.
     """

@@ -44,7 +44,7 @@ def hand_eye(pairs: Sequence[tuple[Floats, Floats]]) -> Floats | None:
     are about the vertical, the least is taken.
 
     Args:
-        pairs: of motions between the same two moments.
+        pairs: A and B (4, 4), metres, of motions between the same two moments.
     """
     turned = [(A, B) for A, B in pairs if min(_turn(A), _turn(B)) > LEAST_TURN]
     if len(turned) < 2:

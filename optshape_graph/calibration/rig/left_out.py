@@ -46,7 +46,7 @@ def predictions(solved: RigSolution) -> dict[int, tuple[Floats, Floats]]:
     A sighting has no entry where too little is left to say where the target is.
 
     Returns:
-        How everything moves (n,), and the covariance (n, n) of that.
+        How everything moves (n,), and the covariance (n, n) of that, in the unknowns' units: rad, metres, ...
     """
     system, graph = solved.solution.system, solved.graph
     n = system.A.shape[1]

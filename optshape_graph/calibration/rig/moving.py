@@ -47,7 +47,7 @@ class Clocks(Value):
 
     Attributes:
         offsets: seconds by which each sensor's clock is ahead of the base's, by name.
-        covariance: (n, n) of the offsets, in the order of `names`.
+        covariance: (n, n) of the offsets, square seconds, in the order of `names`.
         names: of the sensors whose clocks are told.
     """
 

@@ -153,7 +153,7 @@ class PointsModel(Value):
     Attributes:
         term: that this is the model of.
         state: where it is linearised.
-        rows: of each, up to 6 + k rows [by pose, by beta, residual], the pose's first.
+        rows: of each (r, 6 + k + 1), whitened: [by pose, by beta, residual], the pose's first; r is up to 6 + k.
         floor: (m,) chi-square that neither pose nor beta takes away.
     """
 
@@ -196,6 +196,6 @@ class PointsModel(Value):
 
 
 def split(by_beta: Floats, keys: Sequence[int], state: State) -> list[Floats]:
-    """Split columns by beta into those of each vector."""
+    """Split columns by beta (r, k), whitened, into those of each vector, (r, k_i)."""
     ends = np.cumsum([len(state.values.atVector(key)) for key in keys])
     return np.split(by_beta, ends[:-1], axis=1) if keys else []

@@ -234,7 +234,11 @@ class RigCalibration(Result):
         return self.sensors[j].time_offset - self.sensors[i].time_offset, float(np.sqrt(max(variance, 0.0)))
 
     def directions(self, a: str, b: str) -> list[Direction]:
-        """Return the principal directions of the uncertainty of T_a_b, in frame b, the worst first."""
+        """Return the principal directions of the uncertainty of T_a_b, in frame b, the worst first.
+
+        Raises:
+            InputError: a sensor that the rig does not have.
+        """
         T_b_base = inverse(self.sensors[self._number(b)].T_base_sensor)
         centre = T_b_base[:3, :3] @ self.middle + T_b_base[:3, 3]
         return principal_directions(self.transform(a, b)[1], centre, b)

@@ -27,6 +27,9 @@ def solve_robustly(graph: RigGraph) -> tuple[RigSolution, dict[int, str]]:
 
     Returns:
         The solution, and why sightings take no part, by number.
+
+    Raises:
+        EstimationError: too few sightings agree.
     """
     sightings = graph.start.sightings
     used = _shared(graph, set(range(len(sightings))) - graph.start.strangers)

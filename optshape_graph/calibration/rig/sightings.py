@@ -146,5 +146,5 @@ def persistent(scans: Sequence[TargetInScan], common_sigma: float = 0.0) -> list
 
 
 def read_as(measurement: BiasedMeasurement, S: Floats) -> BiasedMeasurement:
-    """Return a measurement of T_target_lidar as one of the target relabelled by S, p' = S p."""
+    """Return a measurement of T_target_lidar as one of the target relabelled by S (4, 4), p' = S p in metres."""
     return measurement if np.array_equal(S, np.eye(4)) else measurement.substituted(inverse(S))

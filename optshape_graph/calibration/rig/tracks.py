@@ -59,7 +59,7 @@ class Smooth(Value):
         chains: L_i^-1 L_j.
         poses: (m, 2) keys of L_i and L_j.
         twists: (m, 2) keys of V_i and V_j.
-        seconds: (m,) times between them.
+        seconds: (m,) times between them, seconds.
         whiten: (m, 12, 12) square root information of the errors.
     """
 
@@ -158,12 +158,15 @@ class Timed(Value):
 
 
 def estimate_density(model: SmoothModel, covariances: Mapping[int, Floats], density: Floats) -> Floats:
-    """Return the density of acceleration (2,) that makes the motion likeliest: a step of expectation maximisation.
+    """Return the density of acceleration that makes the motion likeliest: a step of expectation maximisation.
 
     Args:
         model: the motion, at the solution.
         covariances: (24, 24) of some pairs' variables, by number of the pair, in the order of its blocks.
-        density: (2,) that the model was made with.
+        density: (2,) that the model was made with, rad2/s3 and m2/s3.
+
+    Returns:
+        (2,) rad2/s3 and m2/s3.
     """
     squares = np.zeros((len(covariances), 12))
     for k, (m, covariance) in enumerate(covariances.items()):
