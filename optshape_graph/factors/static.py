@@ -284,7 +284,7 @@ def angle_errors(
 
     Args:
         by_elevation: (N,) how far each row moves with its ring's elevation, in the rows' unit per radian.
-        by_azimuth: (N,) the same of its azimuth, per radian.
+        by_azimuth: (N,) the same of its azimuth, in the rows' unit per radian.
         ring: (N,) of each row.
         sensor: says how large the errors are.
     """

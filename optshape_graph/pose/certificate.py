@@ -225,8 +225,8 @@ def lower_bound(Q: Floats, backend: Backend = "clarabel", R_in_front: Floats | N
     Args:
         Q: (13, 13) symmetric positive semidefinite, cost [z; 1]^T Q [z; 1], z = [vec R (column-major); t].
         backend: "cvxpy": the modelling layer above the same solver; any other: Clarabel, since no pose is known.
-        R_in_front: (3, 3) rotation R* (no unit) of a pose with the sensor on the -x side: then only such poses are bounded, tightly where
-            it is the best of them. None: all are.
+        R_in_front: (3, 3) rotation R* (no unit) of a pose with the sensor on the -x side: then only such poses are
+            bounded, tightly where it is the best of them. None: all are.
 
     Raises:
         InputError: a backend that does not exist.

@@ -153,7 +153,7 @@ class PointsModel(Value):
     Attributes:
         term: that this is the model of.
         state: where it is linearised.
-        rows: of each (r, 6 + k + 1), whitened: [by pose, by beta, residual], the pose's first; r is up to 6 + k.
+        rows: (r, n) of each, whitened, r up to 6 + k and n = 7 + k: [by pose, by beta, residual], the pose's first.
         floor: (m,) chi-square that neither pose nor beta takes away.
     """
 
