@@ -47,6 +47,9 @@ from optshape_graph.scan import Scan
 from optshape_graph.se3 import vec, vec_derivative
 from optshape_graph.target import Target
 
+ODD = 3.5
+"""Standard deviations from where ring ends may be, lost returns included, beyond which an end counts for nothing."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Seen(Value):
@@ -218,6 +221,11 @@ class Seen(Value):
         )
         precision = self.precision + DAMPING * (site.precision - self.precision)
         information = self.information + DAMPING * (site.information - self.information)
+        # An end far from any place that a last return may be at is a stray, or of something else: it says nothing.
+        seen = site.cavity_variance + _own(g)
+        beyond = np.maximum(lower.min(axis=0) - site.cavity_mean, site.cavity_mean - upper.max(axis=0))
+        odd = beyond > ODD * np.sqrt(seen)
+        precision, information = np.where(odd, 1e-6 / seen, precision), np.where(odd, 0.0, information)
         if not relabel:
             return replace(self, precision=precision, information=information)
         # Where a ring leaves by another edge now, its Gaussian begins anew.
