@@ -48,7 +48,8 @@ class Rays(Value):
 
     Attributes:
         direction: (F, 3) unit vectors, LiDAR frame.
-        width: (F,) angle of each beam, rad; where azimuths are noisy, of a beam blurred by their noise.
+        width: (F,) angle of each beam, rad, blurred by what its direction may be off.
+        share: (F,) of it that is the beam's.
         inside: (I,) firings with returns.
         gaps: (G,) firings without, between returns.
         last: (E,) the last return at each end of a ring.
@@ -63,6 +64,7 @@ class Rays(Value):
 
     direction: Floats
     width: Floats
+    share: Floats
     inside: Ints
     gaps: Ints
     last: Ints
@@ -75,13 +77,14 @@ class Rays(Value):
     lost_ring: float
 
     @classmethod
-    def of(cls, scan: Scan, ends: EdgePoints, beam: Floats, extent: float, odd_ends: float) -> Rays:
+    def of(cls, scan: Scan, ends: EdgePoints, beam: Floats, off: Floats, extent: float, odd_ends: float) -> Rays:
         """Collect the firings of a scan.
 
         Args:
             scan: the returns of one target, with rings.
             ends: both ends of each ring, on the grid of firings.
             beam: (R,) angle of the beam at the target, rad, of each ring with returns.
+            off: (R,) standard deviation of how far each of these rings looks elsewhere, across any edge, rad.
             extent: largest diameter of the target, metres.
             odd_ends: share of ring ends that are not what they seem, single lost firings apart.
         """
@@ -89,9 +92,10 @@ class Rays(Value):
         step = ends.azimuth_step
         azimuth, reference = relative_azimuth(scan.points)
         heights = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
-        # A noisy azimuth blurs what its firing says: a ramp as wide as a uniform density of that variance is added.
-        width = np.sqrt(beam**2 + 12 * (ends.shift[::2] ** 2 + ends.scatter[::2] ** 2))
-        table: list[Floats] = []  # azimuth in steps, elevation and width of every firing
+        # An angle that may be off blurs what its firing says: a ramp as wide as a uniform density of that variance is
+        # added. So is what a ring's firings have in common: hardly more than one of them is within the ramp.
+        width = np.sqrt(beam**2 + 12 * (ends.shift[::2] ** 2 + ends.scatter[::2] ** 2 + off**2))
+        table: list[Floats] = []  # azimuth in steps, elevation, width and the beam's share in it, of every firing
         inside, gaps, last, beyond = [], [], [], []
         count, tried, missing = 0, 0, 0
         for r, ring in enumerate(ends.ring[::2]):
@@ -112,18 +116,19 @@ class Rays(Value):
                 near = np.arange(len(place))
                 near = near[(near < 2 * WINDOW) | (near >= len(place) - 2 * WINDOW)]
                 index = count + np.arange(len(near))
-                table.append(np.column_stack([place[near], np.full((len(near), 2), [elevation, width[r]])]))
+                table.append(np.column_stack([place[near], np.full((len(near), 3), [elevation, width[r], beam[r] / width[r]])]))
                 core = (near >= WINDOW) & (near < len(place) - WINDOW)
                 inside.append(index[core & returned[near]])
                 gaps.append(index[core & ~returned[near]])
                 last += [index[WINDOW], index[-1 - WINDOW]]
                 beyond += [index[:WINDOW][::-1], index[-WINDOW:]]
                 count += len(near)
-        steps, elevations, widths = np.vstack(table).T
+        steps, elevations, widths, shares = np.vstack(table).T
         lost = (missing + LOST[0]) / (tried + LOST[1])
         return cls(
             direction=_unit_vectors(steps * step + reference, elevations),
             width=widths,
+            share=shares,
             inside=np.concatenate(inside),
             gaps=np.concatenate(gaps),
             last=np.array(last),
@@ -141,11 +146,11 @@ class Rays(Value):
 
         Args:
             corners: (S, n, 3) the target's vertices, LiDAR frame, metres.
-            offset: (S,) o, in beam widths.
+            offset: (S,) o, in widths of the beam itself.
         """
         normals = sight_planes(corners)
         outside = (normals.reshape(-1, 3) @ self.direction.T).reshape(*normals.shape[:2], -1).max(axis=1)
-        P = self._returns(outside / self.width + offset[:, None])
+        P = self._returns(outside / self.width + offset[:, None] * self.share)
         total = np.log(P[:, self.inside]).sum(axis=1) + np.log1p(-P[:, self.gaps]).sum(axis=1)
         out, last = P[:, self.beyond], P[:, self.last]
         silent = 1.0 - out
@@ -166,7 +171,7 @@ class Rays(Value):
 
     def _unseen(self, normals: Floats, offset: Floats) -> Floats:
         """(S, O) probability that no firing of each ring without returns returns, wherever in a step they are."""
-        width = float(np.median(self.width))
+        width, offset = float(np.median(self.width)), offset * float(np.median(self.share))
         right, left = chords(normals, self.empty, self.reference_azimuth, width * (0.5 - offset))
         sure_right, sure_left = chords(normals, self.empty, self.reference_azimuth, -width * (0.5 + offset))
         unseen = np.where(left > right, 0.0, 1.0)

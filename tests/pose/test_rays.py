@@ -31,7 +31,7 @@ def rays_of(scan: Scan) -> Rays:
     ends = extract_edge_points(scan)
     ranges = np.linalg.norm(ends.points[::2], axis=1)
     beam = (VLP16.beam_aperture + VLP16.beam_divergence * ranges) / ranges
-    return replace(Rays.of(scan, ends, beam, 2 * PAPER.circumradius, ODD), lost_ring=LOST_RING)
+    return replace(Rays.of(scan, ends, beam, np.zeros(len(beam)), 2 * PAPER.circumradius, ODD), lost_ring=LOST_RING)
 
 
 def corners_at(T: np.ndarray) -> np.ndarray:
