@@ -69,19 +69,24 @@ def connected(
     return T_base_sensor
 
 
-def read(group: Sequence[R], T_base_sensor: Mapping[str, Floats]) -> tuple[Floats, list[tuple[R, int, bool]]]:
+def read(
+    group: Sequence[R], T_base_sensor: Mapping[str, Floats], *, as_it_is: bool = False
+) -> tuple[Floats, list[tuple[R, int, bool]]]:
     """Choose the target's pose in a placement, and how each sighting is read.
 
     Args:
         group: what sensors saw.
         T_base_sensor: (4, 4) of each.
+        as_it_is: a reference that is read up to the target's symmetries is read in its first way, and the others to it:
+            each of them must have all ways.
 
     Returns:
         T_base_target (4, 4), and for each sighting the number of the reading that agrees best, and whether it agrees.
     """
     # Where all are read up to the target's symmetries, the reference is as it is read: the others are the same place.
     reference = next((r for r in group if r.relative), group[0])
-    options = reference.poses[:1] if all(r.relative for r in group) else reference.poses
+    first = reference.relative and (as_it_is or all(r.relative for r in group))
+    options = reference.poses[:1] if first else reference.poses
     readings = []
     for number, pose in enumerate(options):
         T_base_target = T_base_sensor[reference.sensor] @ pose

@@ -34,6 +34,7 @@ PURPOSES = {
     "velodyne": "packets of Velodyne sensors: pcap and VelodyneScan",
     "ouster": "packets of Ouster sensors (not beside `ros`: install it with pip --no-deps)",
     "mesh": "meshes in simulated scenes, and the Open3D viewer",
+    "pcd": "compressed PCD clouds read fast (LibLZF)",
     "icp": "odometry from the scans themselves (KISS-ICP)",
     "evaluate": "accuracy sweeps and tables (optshape evaluate)",
     "dataframe": "results as pandas data frames (to_dataframe)",

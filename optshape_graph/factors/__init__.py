@@ -63,6 +63,7 @@ if TYPE_CHECKING:
         COMMON_RANGE,
         COMMON_ELEVATION,
         COMMON_AZIMUTH,
+        OF_RANGES,
         OF_RINGS,
         AZIMUTH,
         RANGE_BIAS,
@@ -86,7 +87,7 @@ _HOME = {
     "edge_motion_rows plane_motion_rows range_directions",
     "shape": "FreeVertexFactor ShapeFactor ShapeMeasurement TemplatePrior VertexFactor shape_rows",
     "static": "AZIMUTH BLOOMING BRIGHTNESS BiasedMeasurement COMMON_AZIMUTH COMMON_ELEVATION COMMON_RANGE EDGE_OFFSET "
-    "ELEVATION OF_RINGS OF_SENSOR RANGE_BIAS SharedError fuse_static ring_bias_columns",
+    "ELEVATION OF_RANGES OF_RINGS OF_SENSOR RANGE_BIAS SharedError fuse_static ring_bias_columns",
     "summary": "LandmarkFactor Summary SummaryFactor summarise",
     "template": "PointToEdgeFactor PointToPlaneFactor TemplateCallbackFactor TemplateFactor",
 }
@@ -100,6 +101,7 @@ __all__ = [
     "COMMON_RANGE",
     "COMMON_ELEVATION",
     "COMMON_AZIMUTH",
+    "OF_RANGES",
     "OF_RINGS",
     "AZIMUTH",
     "RANGE_BIAS",

@@ -72,6 +72,9 @@ OF_SENSOR = (COMMON_RANGE, COMMON_ELEVATION, COMMON_AZIMUTH, EDGE_OFFSET)
 BRIGHTNESS, BLOOMING = "range bias by brightness", "blooming"
 """Kinds of errors that a surface's brightness makes: of all its ranges; and of how much further its rings reach."""
 
+OF_RANGES = (RANGE_BIAS, COMMON_RANGE, BRIGHTNESS)
+"""Kinds of errors of ranges that many returns of a scan share."""
+
 SURFACE = ("surface turned about y", "surface turned about z", "surface shifted along x")
 STRAIN = ("aspect", "shear")
 """Kinds of errors that are the target's own, in all scans of it: that its surface is not the plane x = 0 of its frame,

@@ -116,7 +116,9 @@ class Rays(Value):
                 near = np.arange(len(place))
                 near = near[(near < 2 * WINDOW) | (near >= len(place) - 2 * WINDOW)]
                 index = count + np.arange(len(near))
-                table.append(np.column_stack([place[near], np.full((len(near), 3), [elevation, width[r], beam[r] / width[r]])]))
+                table.append(
+                    np.column_stack([place[near], np.full((len(near), 3), [elevation, width[r], beam[r] / width[r]])])
+                )
                 core = (near >= WINDOW) & (near < len(place) - WINDOW)
                 inside.append(index[core & returned[near]])
                 gaps.append(index[core & ~returned[near]])

@@ -33,7 +33,7 @@ def completions(line: str) -> set[str]:
 
 def test_commands_subcommands_and_options_are_completed():
     assert completions("optshape ") == set(COMMANDS)
-    assert completions("optshape calibrate ") == {"mocap", "camera"}
+    assert completions("optshape calibrate ") == {"mocap", "camera", "rig", "sensor"}
     assert "--plot" in completions("optshape estimate --p")
     assert completions("optshape completion ") == set(SHELLS)
 

@@ -18,7 +18,7 @@ from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.images.reading import ImageTask, TargetInImage, find_targets
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors import OF_RINGS, RANGE_BIAS, SharedError
+from optshape_graph.factors import OF_RANGES, OF_RINGS, SharedError
 from optshape_graph.io import Session, read_scan
 from optshape_graph.io import View as Entry
 from optshape_graph.io.passed_over import UNUSABLE, PassedOver
@@ -128,7 +128,7 @@ def target_in_scan(
         T_lidar_target=estimate.T_lidar_target,
         covariance=estimate.covariance,
         measurement=estimate.measurement,
-        uncorrected=estimate.shared.marginal([float(e.kind != RANGE_BIAS) for e in estimate.shared.shared]),
+        uncorrected=estimate.shared.marginal([float(e.kind not in OF_RANGES) for e in estimate.shared.shared]),
         shared=shared,
         shared_effect=shared_effect,
         persistent=estimate.shared.without(passing),

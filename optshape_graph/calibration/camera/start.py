@@ -78,7 +78,7 @@ def find_start(views: Sequence[View]) -> Start:
     T_target_base: dict[int, Floats] = {}
     strangers: set[int] = set()
     for number, group in enumerate(placements.values()):
-        T_base_target, chosen = read(group, T_base_sensor)
+        T_base_target, chosen = read(group, T_base_sensor, as_it_is=True)
         T_target_base[number] = inverse(T_base_target)
         for reading, n, agrees in chosen:
             c = reading.candidates[n]
