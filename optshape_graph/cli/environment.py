@@ -17,6 +17,7 @@ DISTRIBUTION = "optshape-graph"
 MODULES = {
     "opencv-python-headless": "cv2",
     "pymdown-extensions": "pymdownx",
+    "python-neo-lzf": "lzf",
     "pyyaml": "yaml",
     "rerun-sdk": "rerun",
 }

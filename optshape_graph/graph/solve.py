@@ -74,15 +74,21 @@ def solve(
                 cost = _error(lower, others, moved)
                 if cost <= error * (1 + ROUNDING) + NEGLIGIBLE:
                     break
+                if damping <= SLIGHT_DAMPING and cost < error + CONVERGED and _promised(linear, step) < CONVERGED:
+                    return Solution(state, models, others, error, True, iterations, dict(names or {}))  # it is there
             damping = max(LEAST_DAMPING, 10 * damping)
             if damping > MOST_DAMPING:
                 return Solution(state, models, others, error, False, iterations, dict(names or {}))
-        promised = -0.5 * linear.gradientAtZero().dot(step)
-        converged = promised < CONVERGED and damping <= SLIGHT_DAMPING
+        converged = _promised(linear, step) < CONVERGED and damping <= SLIGHT_DAMPING
         state, models, error = moved, lower, cost
         damping = damping / 10 if damping > 10 * LEAST_DAMPING else 0.0
         iterations += 1
     return Solution(state, models, others, error, converged, iterations, dict(names or {}))
+
+
+def _promised(linear: gtsam.GaussianFactorGraph, step: gtsam.VectorValues) -> float:
+    """Decrease of the cost that a step makes if the graph is linear."""
+    return -0.5 * float(linear.gradientAtZero().dot(step))
 
 
 def _error(models: Sequence[Model], factors: gtsam.NonlinearFactorGraph, state: State) -> float:
@@ -99,6 +105,8 @@ def _step(
         linear = linear.clone()
         for key in sorted(set(linear.keyVector())):
             own = information[columns[key]]
+            if not len(own):
+                continue  # a sensor without shared errors
             root = np.sqrt(damping * np.maximum(own, 1e-6 * max(own.max(), 1.0)))
             add_rows(linear, [key], [np.diag(root)], np.zeros(len(root)))
     try:

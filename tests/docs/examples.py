@@ -127,6 +127,13 @@ def _camera_session(folder: Path) -> None:
     write_session(folder / "camera")
 
 
+def _rig_session(folder: Path) -> None:
+    from tests.cli.test_calibrate_rig import write_session
+
+    (folder / "rig").mkdir()
+    write_session(folder / "rig")
+
+
 def _shape(folder: Path) -> None:
     save_target(folder / "shape.yaml", load_target("score-optimal"))
 
@@ -142,6 +149,7 @@ EXAMPLES: dict[str, Callable[[Path], None]] = {
     "drive.bag": _bag,
     "map robot": _two_lidars,
     "camera/session.yaml": _camera_session,
+    "rig/session.yaml": _rig_session,
     "shape.yaml": _shape,
 }
 """What a page calls a file or folder, and what makes it."""
