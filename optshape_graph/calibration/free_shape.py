@@ -141,7 +141,8 @@ def measure_shape(returns: Sequence[Scan], target: Target) -> MeasuredShape:
     # That the offset's effect changes with range would tell it, by less than what is left out here changes with range.
     # So it is not estimated, but it counts.
     total = np.asarray(np.linalg.inv(information))
-    common = Beam.common * total @ by_offset
+    ranges = np.concatenate([np.linalg.norm(scan.points, axis=1) for scan, _ in corrected])
+    common = Beam.of(corrected[0][0].sensor).offset_of_rays(ranges) * total @ by_offset
     polygon = target.polygon + (total @ weighted).reshape(n, 2)
     return MeasuredShape(target, SeenShape("", polygon, total + np.outer(common, common)), tuple(seen), crossed)
 
