@@ -148,7 +148,7 @@ class Rays(Value):
 
         Args:
             corners: (S, n, 3) the target's vertices, LiDAR frame, metres.
-            offset: (S,) o, in widths of the beam itself.
+            offset: (S,) o, in beam widths, those of the beam itself.
         """
         normals = sight_planes(corners)
         outside = (normals.reshape(-1, 3) @ self.direction.T).reshape(*normals.shape[:2], -1).max(axis=1)

@@ -28,8 +28,8 @@ def scan_of(
 
 
 def plain(sensor: SensorModel) -> SensorModel:
-    """A sensor to which all surfaces are equally bright and every ring end is what it seems, or nearly."""
-    return replace(sensor, brightness_bias=0.0, blooming=0.0, odd_ends=1e-9)
+    """A sensor whose rings look where its table says, to which all surfaces are equally bright and ends what they seem."""
+    return replace(sensor, brightness_bias=0.0, blooming=0.0, odd_ends=1e-9, elevation_error=0.0, azimuth_error=0.0)
 
 
 def shares(found: Detection, simulated: SimulatedScan, k: int = 0) -> tuple[float, float]:
