@@ -28,7 +28,7 @@ def scan_of(
 
 
 def plain(sensor: SensorModel) -> SensorModel:
-    """A sensor whose rings look where its table says, to which all surfaces are equally bright and ends what they seem."""
+    """A sensor whose rings look where its table says; surfaces are equally bright, ring ends what they seem."""
     return replace(sensor, brightness_bias=0.0, blooming=0.0, odd_ends=1e-9, elevation_error=0.0, azimuth_error=0.0)
 
 
