@@ -93,7 +93,7 @@ class Rays(Value):
         azimuth, reference = relative_azimuth(scan.points)
         heights = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
         # An angle that may be off blurs what its firing says: a ramp as wide as a uniform density of that variance is
-        # added. So is what a ring's firings have in common: hardly more than one of them is within the ramp.
+        # added. Firings of a ring are off alike; but hardly more than one of them is within the ramp.
         width = np.sqrt(beam**2 + 12 * (ends.shift[::2] ** 2 + ends.scatter[::2] ** 2 + off**2))
         table: list[Floats] = []  # azimuth in steps, elevation, width and the beam's share in it, of every firing
         inside, gaps, last, beyond = [], [], [], []

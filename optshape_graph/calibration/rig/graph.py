@@ -204,7 +204,7 @@ class RigGraph(Value):
         for key, twist in [(self.twist_key(n), self.twists[n]) for n in numbers if n in self.twists]:
             values.insert(key, twist)
         if at is not None:
-            for key in [key for key in gtsam.utilities.allPose3s(values).keys() if at.exists(key)]:  # noqa: SIM118
+            for key in [key for key in gtsam.utilities.allPose3s(values).keys() if at.exists(key)]:  # noqa: SIM118 - no mapping
                 values.update(key, at.atPose3(key))
         terms: list[Term] = [shared, term, *motion]
         solution = solve(values, terms, factors, self.names())
@@ -394,4 +394,4 @@ def _unbiased(measurement: BiasedMeasurement) -> BiasedMeasurement:
 
 def _inverse(chain: Chain) -> Chain:
     """The chain of the inverse pose."""
-    return [step.key if isinstance(step, Inverse) else Inverse(int(step)) for step in reversed(chain)]  # type: ignore[arg-type]
+    return [step.key if isinstance(step, Inverse) else Inverse(int(step)) for step in reversed(chain)]  # type: ignore[arg-type]  # a key
