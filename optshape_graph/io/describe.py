@@ -330,7 +330,7 @@ def _mocap(path: Path, form: str) -> Facts:
     from optshape_graph.io.mocap import read_mocap, read_motive_bodies
 
     if path.suffix.lower() in (".csv", ".txt") and decode(read_bytes(path)).lstrip().startswith("Format Version"):
-        times, bodies, _ = read_motive_bodies(path)
+        times, bodies = read_motive_bodies(path)
         facts: Facts = {"form": "Motive motion capture", "rigid bodies": ", ".join(bodies) or "none"}
         try:
             return facts | {**_mocap_facts(read_mocap(path))}
