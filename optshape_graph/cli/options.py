@@ -74,6 +74,8 @@ DISTANCE = Number(0.0, 1000.0, open=True)
 """Metres of a target from the sensor."""
 ANGLE = Number(-360.0, 360.0)
 """Degrees."""
+PAPER = click.Choice(["A0", "A1", "A2", "A3", "A4"], case_sensitive=False)
+"""Size of a sheet."""
 
 
 def example(*lines: str) -> str:
