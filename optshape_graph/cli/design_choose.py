@@ -53,7 +53,7 @@ def command(
 ) -> int:
     """Choose the smallest target that a sensor finds as exactly as asked, and say how to hang it.
 
-    Sizes are tried in steps of 12 % until 95 of 100 simulated scans end ok with both errors within what was asked. The
+    Sizes are tried in steps of 12 % until 95 of 100 simulated scans are ok with both errors as small as asked. The
     target hangs within 3 deg of the roll and 20 deg of facing the sensor, its height within 2 cm and 0.1 deg.
     """
     from optshape_graph.cli.console import progress_bar

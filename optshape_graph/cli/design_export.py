@@ -44,12 +44,11 @@ def command(
 ) -> None:
     """Draw a target at 1:1: the face that the LiDAR sees, its dimensions, and what the file has printed on it.
 
-    A chessboard, tags, or both (ChArUco) are drawn black, and nothing over them. Several sheets come with a plan of
-    them. The parts are listed.
+    A chessboard, tags, or both (ChArUco) are drawn black, and nothing over them. Several sheets come with a plan. The
+    parts are listed.
 
-    The drawing is the mirror image of the vertex list, which is given as seen from behind. The target file that
-    everything else reads is written beside it, unless it is there. A drawing that is there is written over only with
-    --force.
+    The drawing is the mirror image of the vertex list, which is given as seen from behind. The target's file
+    is written beside the drawing, unless it is there. An existing drawing is replaced only with --force.
     """
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.design.drawing import Workshop, draw

@@ -73,9 +73,9 @@ def command(
 ) -> None:
     """Find the shape whose worst score is best: the paper's aim. For poses: `optimise-poses`.
 
-    The worst is taken over every orientation and every partly lit area. Finished starts are kept in OUTPUT's folder,
-    in a folder named after it; run the same command again to go on after an interruption. A target file that no search
-    of that name has made is written over only with --force.
+    The worst score is that over all orientations and all partly lit areas. Finished starts are kept in a folder beside
+    OUTPUT; run the same command again to go on after an interruption. An existing target
+    file without such a folder is replaced only with --force.
     """
     from optshape_graph.cli.console import progress_bar
     from optshape_graph.cli.outputs import Outputs
@@ -97,7 +97,7 @@ def command(
     if plots is not None:
         from optshape_graph.viz.style import new_figure
 
-        new_figure()  # whether there is matplotlib: better known before the search than after it
+        new_figure()  # fails without matplotlib, before the search rather than after it
     limits = Limits(
         area=area,
         shortest_edge=0.4 * max(area, 0.0) ** 0.5 if shortest_edge is None else shortest_edge,

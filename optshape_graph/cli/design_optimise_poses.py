@@ -33,7 +33,7 @@ from optshape_graph.cli.options import (
 @click.option("--aspect", type=Number(1.0, 1000.0), default=2.6, show_default=True,
               help="At most: the diameter over the smallest width.")  # fmt: skip
 @click.option("--asymmetry", type=Number(0.0, 1.0, open=True), default=0.24, show_default=True,
-              help="At least: what a stray return cannot make up for.")  # fmt: skip
+              help="At least; with less, a stray return can turn the shape.")  # fmt: skip
 @click.option("--starts", type=click.IntRange(1, 1000), default=6, show_default=True, help="Random starts.")
 @click.option("--placements", type=click.IntRange(4, 10_000), default=96, show_default=True,
               help="Of each sensor at each range.")  # fmt: skip
@@ -58,8 +58,8 @@ def command(
 ) -> None:
     """Find the shape whose pose is known best: the bound on both errors, over sensors, ranges, tilts and lost rings.
 
-    What is minimised is the median and the 95th percentile of e_r and e_t of each sensor at each range, against those
-    of the reference shape of the same area. Minutes.
+    The search minimises the median and the 95th percentile of e_r and e_t, for each sensor at each range, relative to
+    those of the reference shape of the same area. It takes minutes.
     """
     import numpy as np
 

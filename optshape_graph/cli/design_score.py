@@ -23,13 +23,13 @@ SCORE_COLUMNS = """\b
 shortest m      the shortest edge
 six rotations   the paper's score, worst of its six rotations; every 1, 0.1 deg: worst of all orientations. How far
                 the rings' end points move along the rings under the worst small motion: more is better
-asymmetry       share of itself that the shape uncovers when it is turned by the angle at which it is most like
-                itself: 0: symmetric, its pose is ambiguous; below about 0.15 a stray return can turn it
+asymmetry       share of its area that the shape uncovers when turned by the angle at which it is most like
+                itself. 0: symmetric, its pose is ambiguous; below about 0.15 a stray return can turn it
 e_t             bound on the distance between the estimated and the true origin of the target, mm
 e_r             bound on the angle between the estimated and the true rotation, deg; in plane: about the normal
 
-No unbiased estimate has a smaller root mean square error than the bound. An infinite one: rings that end on two
-parallel edges only, as on a square that stands upright, leave the pose undetermined.
+No unbiased estimate has a smaller root mean square error than the bound. It is infinite if all rings end on two
+parallel edges, as on a square that stands upright: then the pose is undetermined.
 
 """
 
@@ -49,8 +49,8 @@ def command(
 ) -> None:
     """Judge shapes: score, symmetry, and the Cramer-Rao bound on the pose.
 
-    Scores are those of the shape at 1 m2; the bound is that of the shape at the size it has, facing the sensor, over
-    36 orientations and 3 heights: the median and the worst.
+    The score is that of the shape at 1 m2. The bound is for the shape at its own size, facing the sensor: the median
+    and the worst over 36 orientations and 3 heights.
     """
     from optshape_graph.cli.console import progress_bar
     from optshape_graph.cli.outputs import Outputs

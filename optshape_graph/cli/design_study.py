@@ -54,7 +54,7 @@ def command(
     from optshape_graph.viz.design import plot_study
     from optshape_graph.viz.style import new_figure, save_figure
 
-    new_figure()  # whether there is matplotlib: better known before the study than after it
+    new_figure()  # fails without matplotlib, before the study rather than after it
     outputs = Outputs([sensor], force=force)
     if (output / "shapes" / "sweep.json").exists():  # an older study is replaced
         outputs.folder("--output", output)
