@@ -122,7 +122,7 @@ def find_candidates(evidence: Evidence) -> Posterior:
         EstimationError: no pose explains the returns.
     """
     problem, target = evidence.bounded, evidence.problem.target
-    starts = _upright(enumerate_poses(evidence.problem.edges, evidence.plane, target), target)
+    starts = _upright(enumerate_poses([evidence.problem.edges], [evidence.plane], [target])[0], target)
     first = _judged(propagate(problem, starts, relinearisations=1, sweeps=2), evidence)
     best = first.select(slice(0, 1))
     labels = np.vstack([best.geometry.labels, alternative_labels(problem, best, ALTERNATIVES)])
