@@ -9,6 +9,7 @@ once, and each is weighed by the likelihood of the scan as it is. What is compar
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,21 +17,23 @@ import numpy as np
 from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.errors import EstimationError
 from optshape_graph.pose.association import enumerate_poses
-from optshape_graph.pose.evidence import Evidence
+from optshape_graph.pose.evidence import Evidence, ends_of
 from optshape_graph.pose.firings import Firings
 from optshape_graph.pose.mixture import Components, LogDensity, Samples, sample
 from optshape_graph.pose.propagation import (
     Posterior,
     alternative_labels,
     concatenate,
-    exit_probability,
-    missed_rings,
-    propagate,
+    distinct,
+    work_out,
 )
 from optshape_graph.pose.rays import Rays
 from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, rotation, transform, vec
 from optshape_graph.sensor import SensorModel, angle_sds
 from optshape_graph.target import Target
+
+AT_ONCE = 240
+"""Ring ends of the scans that are worked on at once: more, and their candidates' arrays don't stay in cache."""
 
 ALTERNATIVES = 6
 """How many associations next to the best take part in the estimate."""
@@ -111,26 +114,58 @@ class Modes(Value):
         return float(np.logaddexp.reduce(self.candidates.log_likelihood[self.best]))
 
 
-def find_candidates(evidence: Evidence) -> Posterior:
-    """Find the posterior of the pose under every association that is worth it, likeliest first, each once.
+def find_candidates(evidences: Sequence[Evidence]) -> list[Posterior]:
+    """Find the posterior of the pose under every association that is worth it, likeliest first, each once, by scan.
 
     Every consistent association of ring ends to edges gives a start. A first round tells the starts apart. A second
     works out the best, the associations next to it, and the poses that the target's shape takes for it: half a turn,
     and those that bring it nearest to itself.
 
-    Raises:
-        EstimationError: no pose explains the returns.
+    Args:
+        evidences: of scans with rings, in any number, each with its target.
     """
-    problem, target = evidence.bounded, evidence.problem.target
-    starts = _upright(enumerate_poses([evidence.problem.edges], [evidence.plane], [target])[0], target)
-    first = _judged(propagate(problem, starts, relinearisations=1, sweeps=2), evidence)
-    best = first.select(slice(0, 1))
-    labels = np.vstack([best.geometry.labels, alternative_labels(problem, best, ALTERNATIVES)])
-    turned = _lookalikes(best.T_target_lidar, target)
-    T = np.concatenate([np.repeat(best.T_target_lidar, len(labels), axis=0), turned])
-    labels = np.vstack([labels, problem.geometry(turned).labels])
-    second = _judged(propagate(problem, T, relinearisations=1, labels=labels, sweeps=4), evidence)
-    return _distinct(concatenate(second, first))
+    order = sorted(
+        range(len(evidences)), key=lambda k: (len(evidences[k].problem.target), len(evidences[k].bounded.edges))
+    )
+    found: dict[int, Posterior] = {}
+    for some in _batches([evidences[k] for k in order]):
+        together = [order[k] for k in some]
+        found.update(zip(together, _find_together([evidences[k] for k in together]), strict=True))
+    return [found[k] for k in range(len(evidences))]
+
+
+def _batches(evidences: Sequence[Evidence]) -> list[list[int]]:
+    """Group neighbours whose targets have as many edges, up to AT_ONCE ring ends in each group."""
+    groups: list[list[int]] = []
+    for k, evidence in enumerate(evidences):
+        ends, n = len(evidence.bounded.edges), len(evidence.problem.target)
+        last = evidences[groups[-1][0]] if groups else evidence
+        if groups and n == len(last.problem.target) and (len(groups[-1]) + 1) * ends <= AT_ONCE:
+            groups[-1].append(k)
+        else:
+            groups.append([k])
+    return groups
+
+
+def _find_together(evidences: Sequence[Evidence]) -> list[Posterior]:
+    """Find the candidates of scans whose targets have as many edges; see `find_candidates`."""
+    targets = [evidence.problem.target for evidence in evidences]
+    ends = ends_of(evidences)
+    starts = enumerate_poses([one.problem.edges for one in evidences], [one.plane for one in evidences], targets)
+    first = work_out(ends, [_upright(T, target) for T, target in zip(starts, targets, strict=True)], None, sweeps=2)
+    best = concatenate([posterior.select(slice(0, 1)) for posterior in first])
+    alternatives = alternative_labels(ends, best, ALTERNATIVES)
+    T, labels = [], []
+    for k, target in enumerate(targets):
+        own = np.vstack([best.geometry.labels[k], alternatives[k]])
+        turned = _lookalikes(best.T_target_lidar[k : k + 1], target)
+        T.append(np.concatenate([np.repeat(best.T_target_lidar[k : k + 1], len(own), axis=0), turned]))
+        labels.append(np.vstack([own, np.full((len(turned), own.shape[1]), -1)]))  # a turned target's are its own
+    second = work_out(ends, T, labels, sweeps=4)
+    return [
+        distinct(concatenate([b, a])).of_ends(len(evidence.bounded.edges))
+        for a, b, evidence in zip(first, second, evidences, strict=True)
+    ]
 
 
 def _lookalikes(T_target_lidar: Floats, target: Target) -> Floats:
@@ -139,27 +174,6 @@ def _lookalikes(T_target_lidar: Floats, target: Target) -> Floats:
     fits = [np.angle(np.vdot(vertices, np.roll(vertices, -k))) for k in range(1, len(target))]
     turns = np.array([np.pi, *fits])
     return _upright(transform(rotation(turns[:, None] * [1.0, 0.0, 0.0])) @ T_target_lidar, target)
-
-
-def _judged(posterior: Posterior, evidence: Evidence) -> Posterior:
-    """Add to the likelihoods what the posteriors leave out; likeliest first."""
-    scan = evidence.scan
-    score = posterior.log_likelihood + exit_probability(evidence.bounded, posterior)
-    if scan.sensor is not None:
-        score = score + missed_rings(evidence.bounded, posterior, evidence.problem.edges, scan.sensor)
-    score = np.where(np.isfinite(score), score, -np.inf)
-    if not np.isfinite(score).any():
-        raise EstimationError(f"{scan.name}: no pose explains the returns")
-    return _distinct(replace(posterior, log_likelihood=score))
-
-
-def _distinct(posterior: Posterior) -> Posterior:
-    """Each association once, as first listed; likeliest first."""
-    firsts: dict[bytes, int] = {}
-    for k, labels in enumerate(posterior.geometry.labels):
-        firsts.setdefault(labels.tobytes(), k)
-    index = np.array(list(firsts.values()))
-    return posterior.select(index[np.argsort(-posterior.log_likelihood[index], kind="stable")])
 
 
 def _upright(T: Floats, target: Target) -> Floats:
@@ -174,8 +188,13 @@ def compare_modes(candidates: Posterior, evidence: Evidence) -> Modes:
     Args:
         candidates: best first.
         evidence: in which they were found.
+
+    Raises:
+        EstimationError: no pose explains the returns.
     """
     target = evidence.problem.target
+    if not np.isfinite(candidates.log_likelihood[0]):
+        raise EstimationError(f"{evidence.scan.name}: no pose explains the returns")
     by_association = _compare(candidates, target)
     if evidence.problem.edges.n_rings >= SURE[0] and by_association.margin > SURE[1]:
         return by_association

@@ -8,12 +8,14 @@ into one measurement.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import UP, EdgePoints
+from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import refine, template_rows
 from optshape_graph.factors.static import (
     BLOOMING,
@@ -29,16 +31,27 @@ from optshape_graph.pose.modes import Modes, SampledPose, compare_modes, find_ca
 from optshape_graph.se3 import difference, vec, vec_derivative
 
 
-def find_by_rings(evidence: Evidence) -> Finding:
-    """Find a target's pose by the edges on which its rings end; see `estimate_pose`.
+def find_by_rings(evidences: Sequence[Evidence]) -> list[Finding | EstimationError]:
+    """Find targets' poses by the edges on which their rings end; see `estimate_poses`.
 
-    Raises:
-        EstimationError: no pose explains the returns.
+    Args:
+        evidences: of B scans with rings, the candidates of all of which are worked out at once.
+
+    Returns:
+        For each scan what was found; or the error, where no pose explains the returns.
     """
-    problem, on_plane, n = evidence.bounded, evidence.on_plane, len(evidence.problem.edges)
-    modes = compare_modes(find_candidates(evidence), evidence)
+    found: list[Finding | EstimationError] = []
+    for evidence, candidates in zip(evidences, find_candidates(evidences), strict=True):
+        try:
+            found.append(_in_one_measurement(evidence, compare_modes(candidates, evidence)))
+        except EstimationError as error:
+            found.append(error)
+    return found
 
-    # The best mode in one measurement, at its minimum.
+
+def _in_one_measurement(evidence: Evidence, modes: Modes) -> Finding:
+    """Compress the best mode into one measurement, taken at its minimum."""
+    problem, on_plane, n = evidence.bounded, evidence.on_plane, len(evidence.problem.edges)
     best = modes.candidates.select(slice(0, 1))
     T, labels, offset = best.T_target_lidar, best.geometry.labels, float(best.offset[0])
     if modes.sampled is not None:

@@ -65,7 +65,7 @@ def test_what_was_sampled_is_what_the_measurement_says(seed: int) -> None:
     """
     scan, target = far_scan(seed)
     evidence = measure(scan, target, PoseOptions())
-    sampled = compare_modes(find_candidates(evidence), evidence).sampled
+    sampled = compare_modes(find_candidates([evidence])[0], evidence).sampled
     assert sampled is not None
     problem = evidence.problem
     offset_sd = problem.beam.offset_of_rays(np.linalg.norm(problem.edges.points, axis=1))
