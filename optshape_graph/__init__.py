@@ -9,6 +9,7 @@ scan, `factors` makes GTSAM factors of estimates, `graph` solves several scans a
 from typing import TYPE_CHECKING
 
 from optshape_graph._lazy import lazy
+from optshape_graph._version import __version__
 from optshape_graph.errors import EstimationError, InputError, MissingExtraError, OptshapeError, UnobservableError
 
 if TYPE_CHECKING:
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from optshape_graph.scan import Scan
     from optshape_graph.sensor import SensorModel
     from optshape_graph.target import Chessboard, Target
-
-__version__ = "0.1.0"
 
 _HOME = {
     "calibration.camera": "CameraCalibration calibrate_camera",

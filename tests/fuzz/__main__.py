@@ -3,11 +3,13 @@
 Starts from what the package's own writers write and from the corpus, and keeps going past what it finds: every finding
 of its own kind (exception and place) is a file, named after its hash, in `--findings`. Copy it to `corpus/READER` once
 it is mended, and the ordinary tests replay it. A crash, a hang of more than 20 s or 3 GiB end the run with the input.
+Then what reached something new is read once more, and the memory that it takes is held against its size.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hashlib
 import logging
 import subprocess
@@ -15,9 +17,16 @@ import sys
 import tempfile
 import traceback
 import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 CORPUS = Path(__file__).parent / "corpus"
+
+TIMES = 20
+"""Memory that reading may take, in sizes of the file, ..."""
+
+BYTES = 8 << 20
+"""... and beyond it, whatever the size: tables of a parser, buffers of a library."""
 
 
 def fuzz(name: str, inputs: Path, findings: Path, seconds: int) -> None:
@@ -51,6 +60,51 @@ def fuzz(name: str, inputs: Path, findings: Path, seconds: int) -> None:
     atheris.Fuzz()
 
 
+def weigh(name: str, inputs: Path) -> int:
+    """Print how much memory reading takes at most, in sizes of the file; return 1 if that is too much."""
+    from tests.fuzz.readers import READERS
+
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
+    reader = READERS[name]
+    reader.furnish(folder)
+    contents = [file.read_bytes() for file in sorted([*inputs.glob("*"), *(CORPUS / name).glob("*")])]
+    worst, size = 0.0, 0
+    with _quiet():
+        for data in contents[:50]:  # what is imported is imported
+            reader.read(data, folder)
+        for data in contents:
+            taken = max(_memory(lambda data=data: reader.read(data, folder)) - BYTES, 0) / max(len(data), 1)
+            worst, size = max((worst, size), (taken, len(data)))
+    said = f", for one of {size} bytes" if worst else ""
+    print(f"{name}: {len(contents)} inputs take {worst:.1f} times the file and {BYTES >> 20} MiB at most{said}")
+    return int(worst > TIMES)
+
+
+def _memory(read: Callable[[], object]) -> int:
+    """Return the most memory, in bytes, that a call takes, whether it returns or raises."""
+    import tracemalloc
+
+    tracemalloc.start()
+    try:
+        with contextlib.suppress(Exception):  # a finding already
+            read()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence warnings and the log meanwhile: those who weigh in a test have others after it."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            yield
+    finally:
+        logging.disable(before)
+
+
 def main() -> int:
     """Run the fuzzer in a process of its own, and say how it went."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
@@ -58,8 +112,11 @@ def main() -> int:
     parser.add_argument("--seconds", type=int, default=300)
     parser.add_argument("--findings", type=Path, default=Path("fuzz-findings"))
     parser.add_argument("--keep", type=Path, help="Keep inputs that reached something new in this folder.")
+    parser.add_argument("--weigh", type=Path, metavar="FOLDER", help="Only weigh the inputs of this folder.")
     parser.add_argument("--inputs", type=Path, help=argparse.SUPPRESS)  # of the process that fuzzes
     options = parser.parse_args()
+    if options.weigh:
+        return weigh(options.reader, options.weigh)
     if options.inputs:
         fuzz(options.reader, options.inputs, options.findings, options.seconds)
         return 0
@@ -77,12 +134,13 @@ def main() -> int:
         command = [sys.executable, "-m", "tests.fuzz", options.reader, f"--seconds={options.seconds}",
                    f"--findings={options.findings}", f"--inputs={inputs}"]  # fmt: skip
         child = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        heavy = weigh(options.reader, inputs)
     said = child.stderr.splitlines()
     found = [line for line in said if line.startswith("FINDING")]
     statistics = [line for line in said if line.startswith("stat::number_of_executed_units")]
     print(*(statistics or said[-30:]), *found, sep="\n")
     print(f"{options.reader}: {len(found)} findings, exit status {child.returncode}")
-    return 1 if found or child.returncode else 0
+    return 1 if found or child.returncode or heavy else 0
 
 
 if __name__ == "__main__":

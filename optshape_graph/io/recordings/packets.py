@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -13,6 +14,7 @@ import numpy as np
 
 from optshape_graph.errors import InputError, MissingExtraError, missing_extra
 from optshape_graph.io.clouds import Columns, make_scan
+from optshape_graph.io.clouds.files import form_of_head
 from optshape_graph.io.files import read_head
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.recordings.topics import Topic
@@ -34,15 +36,16 @@ DEFINITIONS = {
 PACKET_BYTES = 1206
 """Of a Velodyne's packet of returns."""
 
+LARGEST_PACKET = 262_144
+"""Bytes that a captured packet has at most (libpcap's MAXIMUM_SNAPLEN)."""
+
 SURVEYED = 500
 """Packets at the beginning that tell who sends them."""
-
-_BEGINNINGS = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\n\r\r\n")
 
 
 def is_capture(path: Path) -> bool:
     """Say whether a file is captured packets: pcap or pcapng, by its first bytes."""
-    return path.is_file() and read_head(path, 4).startswith(_BEGINNINGS)
+    return path.is_file() and form_of_head(read_head(path, 64)) == "packets"
 
 
 def metadata_beside(path: Path) -> Path | None:
@@ -215,19 +218,28 @@ def _decoded(name: str, decode: Any) -> Any:
         raise InputError(f"{name}: packets that cannot be decoded: {error}") from error
 
 
+class _Packets(io.BufferedReader):
+    """A capture whose reader is not given room for more than a packet: a damaged length may say 4 GB."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        if size is None or not 0 <= size <= LARGEST_PACKET:
+            raise ValueError(f"a packet of {size} bytes; expected at most {LARGEST_PACKET}")
+        return super().read(size)
+
+
 def _payloads(path: Path) -> Iterator[tuple[float, bytes]]:
     """Yield stamp and payload of the UDP packets of a capture."""
-    packets = iter(_velodyne_decoder().util.iter_pcap(str(path), (None, None)))
-    while True:
-        try:
-            stamp, payload = next(packets)
-        except StopIteration:
-            return
-        except MissingExtraError:
-            raise
-        except Exception as error:  # of dpkt on damaged bytes: not a closed set
-            raise InputError(f"{path}: captured packets that are damaged: {error}") from error
-        yield float(stamp), bytes(payload)
+    library = _velodyne_decoder()
+    with _Packets(io.FileIO(path)) as stream:
+        packets = iter(library.util.iter_pcap(stream, (None, None)))
+        while True:
+            try:
+                stamp, payload = next(packets)
+            except StopIteration:
+                return
+            except Exception as error:  # of dpkt on damaged bytes: not a closed set
+                raise InputError(f"{path}: captured packets that are damaged: {error}") from error
+            yield float(stamp), bytes(payload)
 
 
 def _velodyne_decoder() -> Any:
