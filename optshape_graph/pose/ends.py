@@ -94,12 +94,12 @@ class RingEnds(Value):
         offsets: (B, n) of its edges, metres.
         vertices: (B, n, 3) of the target, metres.
         common_elevation_sd: (B,) of what all rings have in common, rad.
-        common_azimuth_sd: (B,) likewise.
+        common_azimuth_sd: (B,) likewise, rad.
         flatness: (B,) standard deviation of the target about its drawing, metres.
         beam_offset: (B,) how far in returns at edges lie, beam widths.
         offset_sd: (B,) standard deviation of that, beam widths.
         lost_ends: (B,) share of ring ends that are not within a step of the edge.
-        lost_span: (B, 2) where the boundary may be beyond those, azimuth steps.
+        lost_span: (B, 2) where the boundary may be beyond those, in units of azimuth steps.
         azimuth_step: (B,) rad.
         reference_azimuth: (B,) of each scan's returns, rad.
         beam_angle: (B,) mean of the beam's width over the range.

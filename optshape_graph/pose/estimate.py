@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Literal, TypeVar, get_args
+from collections.abc import Sequence
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -22,8 +22,6 @@ from optshape_graph.se3 import inverse, inverse_covariance
 from optshape_graph.target import Target
 
 Method = Literal["global", "paper"]
-Of = TypeVar("Of")
-Made = TypeVar("Made")
 
 _DIRECTIONS = ("rotation about x", "rotation about y", "rotation about z",
                "translation along x", "translation along y", "translation along z")  # fmt: skip
@@ -100,39 +98,34 @@ def estimate_poses(
     for name, value, choices in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
         if value not in choices:
             raise InputError(f"{name} is {value!r}; expected one of {', '.join(map(repr, choices))}")
-
-    def measured(pair: tuple[Scan, Target]) -> Evidence:
-        return _measured(*pair, method, options)
-
-    evidences = [_tried(measured, pair) for pair in zip(scans, templates, strict=True)]
+    evidences = [_measured(*pair, method, options) for pair in zip(scans, templates, strict=True)]
     ringed = [one for one in evidences if isinstance(one, Evidence) and one.scan.ring is not None and method != "paper"]
     by_rings = iter(find_by_rings(ringed))
-
-    def estimated(evidence: Evidence) -> PoseEstimate:
-        if method == "paper":
-            return conclude(find_as_paper(evidence, backend), backend)
-        found = find_by_containment(evidence) if evidence.scan.ring is None else next(by_rings)
-        if isinstance(found, EstimationError):
-            raise found
-        return conclude(found, backend)
-
-    return [one if isinstance(one, EstimationError) else _tried(estimated, one) for one in evidences]
-
-
-def _tried(function: Callable[[Of], Made], of: Of) -> Made | EstimationError:
-    """Return what a function returns, or the EstimationError that it raises."""
-    try:
-        return function(of)
-    except EstimationError as error:
-        return error
+    estimates: list[PoseEstimate | EstimationError] = []
+    for evidence in evidences:
+        if isinstance(evidence, EstimationError):
+            estimates.append(evidence)
+            continue
+        try:
+            if method == "paper":
+                found: Finding | EstimationError = find_as_paper(evidence, backend)
+            else:
+                found = find_by_containment(evidence) if evidence.scan.ring is None else next(by_rings)
+            estimates.append(found if isinstance(found, EstimationError) else conclude(found, backend))
+        except EstimationError as error:
+            estimates.append(error)
+    return estimates
 
 
-def _measured(scan: Scan, target: Target, method: Method, options: PoseOptions) -> Evidence:
+def _measured(scan: Scan, target: Target, method: Method, options: PoseOptions) -> Evidence | EstimationError:
     """Put a scan right, and measure what is known of it whatever the pose."""
     if method == "paper" and scan.ring is None:
-        raise EstimationError(f"{scan.name}: edge points need rings, and the cloud has none")
-    whole, duplicates = without_duplicates(put_right(scan))
-    return measure(whole, target, options, duplicates, as_recorded=method == "paper")
+        return EstimationError(f"{scan.name}: edge points need rings, and the cloud has none")
+    try:
+        whole, duplicates = without_duplicates(put_right(scan))
+        return measure(whole, target, options, duplicates, as_recorded=method == "paper")
+    except EstimationError as error:
+        return error
 
 
 def conclude(found: Finding, backend: Backend) -> PoseEstimate:
