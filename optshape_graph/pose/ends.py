@@ -19,6 +19,7 @@ from optshape_graph.edges import UP, EdgePoints, leftward, upward
 from optshape_graph.factors._rows import triangular
 from optshape_graph.gaussian import chi_square_tail, f_tail
 from optshape_graph.pose.options import PoseOptions
+from optshape_graph.se3 import apply
 from optshape_graph.sensor import SensorModel, angle_sds
 from optshape_graph.target import Target
 
@@ -335,10 +336,15 @@ class Problem(Value):
         return EndsFit(residual, float(x[3]), float(x[4]), max(len(residual) - 3, 0), strain, probability)
 
     def strains(self, labels: Ints, points: Floats, T_target_lidar: Floats) -> Floats:
-        """(M, 2) how far two strains of the outline, of unit size at constant area, move points (M, 3) off edges."""
-        ny, nz = self.target.normals[labels].T
-        y, z = (points @ T_target_lidar[1:3, :3].T + T_target_lidar[1:3, 3]).T
-        return np.column_stack([ny * y - nz * z, ny * z + nz * y])
+        """(..., M, 2) how far two strains of the outline, of unit size at constant area, move points off edges.
+
+        Args:
+            labels: (..., M) edge of each point.
+            points: (..., M, 3) metres, LiDAR frame.
+            T_target_lidar: (..., 4, 4).
+        """
+        n, yz = self.target.normals[labels], apply(T_target_lidar, points)[..., 1:]
+        return np.stack([(n * yz * [1.0, -1.0]).sum(axis=-1), (n * yz[..., ::-1]).sum(axis=-1)], axis=-1)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Value
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.errors import EstimationError
 from optshape_graph.pose.association import enumerate_poses
 from optshape_graph.pose.evidence import Evidence, ends_of
@@ -24,7 +25,7 @@ from optshape_graph.pose.propagation import (
     Posterior,
     alternative_labels,
     concatenate,
-    distinct,
+    firsts,
     work_out,
 )
 from optshape_graph.pose.rays import Rays
@@ -149,23 +150,32 @@ def _batches(evidences: Sequence[Evidence]) -> list[list[int]]:
 
 def _find_together(evidences: Sequence[Evidence]) -> list[Posterior]:
     """Find the candidates of scans whose targets have as many edges; see `find_candidates`."""
-    targets = [evidence.problem.target for evidence in evidences]
-    ends = ends_of(evidences)
+    targets, ends = [evidence.problem.target for evidence in evidences], ends_of(evidences)
     starts = enumerate_poses([one.problem.edges for one in evidences], [one.plane for one in evidences], targets)
-    first = work_out(ends, [_upright(T, target) for T, target in zip(starts, targets, strict=True)], None, sweeps=2)
-    best = concatenate([posterior.select(slice(0, 1)) for posterior in first])
-    alternatives = alternative_labels(ends, best, ALTERNATIVES)
+    T = [_upright(poses, target) for poses, target in zip(starts, targets, strict=True)]
+    scan, first = work_out(ends, _scan_of(T), np.concatenate(T), None, sweeps=2)
+    order = np.lexsort((-first.log_likelihood, scan))
+    best = first.select(order[np.searchsorted(scan[order], np.arange(len(targets)))])
     T, labels = [], []
-    for k, target in enumerate(targets):
-        own = np.vstack([best.geometry.labels[k], alternatives[k]])
-        turned = _lookalikes(best.T_target_lidar[k : k + 1], target)
-        T.append(np.concatenate([np.repeat(best.T_target_lidar[k : k + 1], len(own), axis=0), turned]))
+    for k, (target, beside) in enumerate(zip(targets, alternative_labels(ends, best, ALTERNATIVES), strict=True)):
+        pose, own = best.T_target_lidar[k : k + 1], np.vstack([best.geometry.labels[k], beside])
+        turned = _lookalikes(pose, target)
+        T.append(np.concatenate([np.repeat(pose, len(own), axis=0), turned]))
         labels.append(np.vstack([own, np.full((len(turned), own.shape[1]), -1)]))  # a turned target's are its own
-    second = work_out(ends, T, labels, sweeps=4)
+    again, second = work_out(ends, _scan_of(T), np.concatenate(T), np.concatenate(labels), sweeps=4)
+    scan, found = np.concatenate([again, scan]), concatenate([second, first])
+    once = firsts(scan, found.geometry.labels)
+    order = once[np.lexsort((-found.log_likelihood[once], scan[once]))]
+    bounds = np.searchsorted(scan[order], np.arange(len(targets) + 1)).tolist()
     return [
-        distinct(concatenate([b, a])).of_ends(len(evidence.bounded.edges))
-        for a, b, evidence in zip(first, second, evidences, strict=True)
+        found.select(order[a:b], len(evidence.bounded.edges))
+        for (a, b), evidence in zip(pairwise(bounds), evidences, strict=True)
     ]
+
+
+def _scan_of(of_scans: Sequence[Floats]) -> Ints:
+    """(C,) number of the scan that each row of arrays, one of each scan, is of."""
+    return np.repeat(np.arange(len(of_scans)), [len(one) for one in of_scans])
 
 
 def _lookalikes(T_target_lidar: Floats, target: Target) -> Floats:

@@ -18,9 +18,8 @@ Evidence that the posterior leaves out is free: where the rings that returned no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -68,16 +67,18 @@ class Posterior(Value):
     sigma: Floats
     log_likelihood: Floats
 
-    def select(self, index: Ints | slice) -> Posterior:
-        """Return some of the posteriors: a slice of them, or those at indices (K,)."""
-        return _made(lambda values: values[0][index], self)
+    def select(self, index: Ints | slice, ends: int | None = None) -> Posterior:
+        """Return some of the posteriors, of some of the edge points.
 
-    def of_ends(self, count: int) -> Posterior:
-        """Return them with the first so many edge points, where those after are padding."""
+        Args:
+            index: a slice of the posteriors, or (K,).
+            ends: number of edge points, where those after are padding; None: all.
+        """
+        chosen = _made(lambda values: values[0][index], self)
         m = self.inset.shape[1]
-        if count == m:
-            return self
-        return _made(lambda values: values[0][:, :count] if values[0].shape[1:2] == (m,) else values[0], self)
+        if ends in (None, m):
+            return chosen
+        return _made(lambda values: values[0][:, :ends] if values[0].shape[1:2] == (m,) else values[0], chosen)
 
 
 def concatenate(posteriors: Sequence[Posterior]) -> Posterior:
@@ -96,43 +97,34 @@ def _made(make: Callable[[list[Floats]], Floats], *posteriors: Posterior) -> Pos
     return Posterior(geometry=geometry, **arrays(posteriors))
 
 
-def work_out(ends: RingEnds, T: Sequence[Floats], labels: Sequence[Ints] | None, sweeps: int) -> list[Posterior]:
-    """Find the posterior about each of some poses, likeliest first, each association once, by scan.
+def work_out(ends: RingEnds, scan: Ints, T: Floats, labels: Ints | None, sweeps: int) -> tuple[Ints, Posterior]:
+    """Find the posterior about each of some poses, each association of a scan once, as first listed.
 
     Args:
         ends: of B scans.
-        T: (C, 4, 4) T_target_lidar to start from, in each scan.
-        labels: (C, M) in each scan; None, and -1: as `RingEnds.geometry` finds them.
+        scan: (C,) that each pose is of, ascending.
+        T: (C, 4, 4) T_target_lidar to start from.
+        labels: (C, M) edge of each ring end; None, and -1: as `RingEnds.geometry` finds them.
         sweeps: of expectation propagation.
+
+    Returns:
+        The scan (K,) of each posterior, and the posteriors.
     """
-    scan, poses = np.repeat(np.arange(len(T)), [len(one) for one in T]), np.concatenate(T)
-    by_candidate = ends.take(scan)
-    geometry = by_candidate.geometry(poses, None if labels is None else np.concatenate(labels))
-    once = _firsts([(int(k), of.tobytes()) for k, of in zip(scan, geometry.labels, strict=True)])
-    scan, by_candidate = scan[once], ends.take(scan[once])
-    posterior = propagate(by_candidate, poses[once], geometry.select(once), sweeps)
+    geometry = ends.take(scan).geometry(T, labels)
+    once = firsts(scan, geometry.labels)
+    scan, ends = scan[once], ends.take(scan[once])
+    posterior = propagate(ends, T[once], geometry.select(once), sweeps)
     # What the posteriors leave out.
-    score = posterior.log_likelihood + exit_probability(by_candidate, posterior) + missed_rings(by_candidate, posterior)
-    posterior = replace(posterior, log_likelihood=np.where(np.isfinite(score), score, -np.inf))
-    bounds = np.searchsorted(scan, np.arange(len(T) + 1))
-    return [_likeliest_first(posterior.select(slice(a, b))) for a, b in pairwise(bounds.tolist())]
+    score = posterior.log_likelihood + exit_probability(ends, posterior) + missed_rings(ends, posterior)
+    return scan, replace(posterior, log_likelihood=np.where(np.isfinite(score), score, -np.inf))
 
 
-def distinct(posterior: Posterior) -> Posterior:
-    """Each association once, as first listed; likeliest first."""
-    return _likeliest_first(posterior.select(_firsts([of.tobytes() for of in posterior.geometry.labels])))
-
-
-def _firsts(keys: Sequence[Hashable]) -> Ints:
-    """Indices (K,) at which each key occurs first."""
-    firsts: dict[Hashable, int] = {}
-    for k, key in enumerate(keys):
-        firsts.setdefault(key, k)
-    return np.array(list(firsts.values()))
-
-
-def _likeliest_first(posterior: Posterior) -> Posterior:
-    return posterior.select(np.argsort(-posterior.log_likelihood, kind="stable"))
+def firsts(scan: Ints, labels: Ints) -> Ints:
+    """Indices (K,) at which each association, labels (C, M) in scans (C,), is listed first."""
+    found: dict[tuple[int, bytes], int] = {}
+    for k, (of, mine) in enumerate(zip(scan.tolist(), labels, strict=True)):
+        found.setdefault((of, mine.tobytes()), k)
+    return np.array(list(found.values()))
 
 
 def propagate(ends: RingEnds, T: Floats, geometry: EdgeGeometry, sweeps: int) -> Posterior:

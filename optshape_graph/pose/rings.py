@@ -52,8 +52,8 @@ def find_by_rings(evidences: Sequence[Evidence]) -> list[Finding | EstimationErr
 def _in_one_measurement(evidence: Evidence, modes: Modes) -> Finding:
     """Compress the best mode into one measurement, taken at its minimum."""
     problem, on_plane, n = evidence.bounded, evidence.on_plane, len(evidence.problem.edges)
-    best = modes.candidates.select(slice(0, 1))
-    T, labels, offset = best.T_target_lidar, best.geometry.labels, float(best.offset[0])
+    best = modes.candidates
+    T, labels, offset = best.T_target_lidar[:1], best.geometry.labels[:1], float(best.offset[0])
     if modes.sampled is not None:
         T, offset = modes.sampled.T_target_lidar[None], modes.sampled.offset
         labels = problem.geometry(T).labels
@@ -123,27 +123,23 @@ def _edge_measurement(
     mean = np.einsum("c,cij->ij", weight, covariance)
     weight = weight / np.trace(np.linalg.solve(covariance, mean), axis1=1, axis2=2)
     weight /= weight.sum()
-    outside = np.abs(problem.edges.side) == UP
-    rows, total = [], 0.0
-    for k in np.flatnonzero(weight):
-        one = posterior.select(slice(k, k + 1))
-        geometry, sigma = one.geometry, one.sigma[0]
-        boundary = problem.edges.points + one.inset[0][:, None] * problem.edges.outward(one.T_target_lidar[0, 0, :3])
-        A, r = template_rows(
-            boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]] + geometry.shift[0]
-        )
-        of_ring = geometry.of_ring[0]
-        sigma = np.sqrt(np.maximum(sigma**2 - of_ring, 0.1 * sigma**2))
-        own, outer = _outer_edges(problem.edges, sigma, geometry.own[0] - of_ring)
-        offset = geometry.across[0] * problem.beam.common
-        further = -geometry.along[0] * problem.blooming[:, 0]
-        strains = strain * problem.strains(geometry.labels[0], boundary, one.T_target_lidar[0])
-        by_angle, angles = angle_errors(geometry.lifted[0], geometry.turned[0], problem.edges.ring, problem.sensor)
-        whitened = np.column_stack([offset, further, strains, outer, by_angle, A, r]) / (factor * own[:, None])
-        shifts = _without_shifts(problem.ring_shifts * (geometry.along[0] / own)[:, None])
-        rows.append(np.sqrt(weight[k]) * shifts @ whitened)
-        total += float(weight[k] * (1 / (factor * sigma) ** 2).sum())
-    stack = np.vstack(rows)
+    chosen = np.flatnonzero(weight)  # A of them, M edge points each
+    weight, T, edges = weight[chosen], posterior.T_target_lidar[chosen], problem.edges
+    g, inset, sigma = posterior.geometry.select(chosen), posterior.inset[chosen], posterior.sigma[chosen]
+    normal = T[:, 0, :3, None]
+    outward = edges.sweep - edges.points * ((edges.sweep @ normal) / (edges.points @ normal))
+    boundary = edges.points + inset[..., None] * outward
+    offsets = problem.target.offsets[g.labels] + g.shift
+    A, r = template_rows(boundary.reshape(-1, 3), g.direction.reshape(-1, 3), offsets.ravel())
+    sigma = np.sqrt(np.maximum(sigma**2 - g.of_ring, 0.1 * sigma**2))
+    own, outer = _outer_edges(edges, sigma, g.own - g.of_ring)
+    ring = np.tile(edges.ring, len(chosen))
+    by_angle, angles = angle_errors(g.lifted.ravel(), g.turned.ravel(), ring, problem.sensor)
+    common = np.stack([g.across * problem.beam.common, -g.along * problem.blooming[:, 0]], axis=-1)
+    parts = [common, strain * problem.strains(g.labels, boundary, T), outer, by_angle, A, r]
+    whitened = np.concatenate([part.reshape(*own.shape, -1) for part in parts], axis=-1) / (factor * own[..., None])
+    rows = np.sqrt(weight)[:, None, None] * _without_shifts(problem.ring_shifts * (g.along / own)[..., None], whitened)
+    stack = rows.reshape(-1, rows.shape[-1])
     measurement = BiasedMeasurement.from_rows(
         stack[:, -13:-1],
         stack[:, :-13],
@@ -151,11 +147,12 @@ def _edge_measurement(
         posterior.T_target_lidar[0],
         [
             *(SharedError(kind) for kind in (EDGE_OFFSET, BLOOMING, *STRAIN)),
-            *(SharedError(OUTER_EDGE, ring=int(ring)) for ring in problem.edges.ring[outside]),
+            *(SharedError(OUTER_EDGE, ring=int(ring)) for ring in edges.ring[np.abs(edges.side) == UP]),
             *angles,
         ],
     )
-    return replace(measurement, n_rows=len(problem.edges)), total
+    total = float(weight @ (1 / (factor * sigma) ** 2).sum(axis=1))
+    return replace(measurement, n_rows=len(edges)), total
 
 
 def _outer_edges(edges: EdgePoints, sigma: Floats, own: Floats) -> tuple[Floats, Floats]:
@@ -163,15 +160,16 @@ def _outer_edges(edges: EdgePoints, sigma: Floats, own: Floats) -> tuple[Floats,
 
     Args:
         edges: ring ends, and returns of the highest and the lowest ring.
-        sigma: (M,) standard deviation of each, metres.
-        own: (M,) variance that each scan draws anew, square metres.
+        sigma: (A, M) standard deviation of each, metres.
+        own: (A, M) variance that each scan draws anew, square metres.
 
     Returns:
-        (M,) the part of the standard deviations that is drawn anew, and (M, K) the part that is shared.
+        (A, M) the part of the standard deviations that is drawn anew, and (A, M, K) the part that is shared.
     """
     outside = np.abs(edges.side) == UP
     new = np.where(outside, np.sqrt(np.clip(own, 1e-2 * sigma**2, sigma**2)), sigma)
-    return new, (np.eye(len(sigma)) * np.sqrt(np.maximum(sigma**2 - new**2, 0.0)))[:, outside]
+    shared = np.sqrt(np.maximum(sigma**2 - new**2, 0.0))
+    return new, shared[..., None] * np.eye(len(edges))[:, outside]
 
 
 def sampled_measurement(
@@ -222,11 +220,11 @@ def _diagonal(T: Floats, axis: int) -> Floats:
     return entry.ravel()
 
 
-def _without_shifts(B: Floats) -> Floats:
-    """(M, M) matrix that whitens rows which unit-variance errors, columns B (M, K) of disjoint rows, share."""
-    B = B[:, B.any(axis=0)]
-    square = (B**2).sum(axis=0)
-    return np.asarray(np.eye(len(B)) - (B * ((1 - 1 / np.sqrt(1 + square)) / square)) @ B.T)
+def _without_shifts(B: Floats, rows: Floats) -> Floats:
+    """Whiten rows (A, M, n) which unit-variance errors share, columns B (A, M, K) of disjoint rows."""
+    square = (B**2).sum(axis=1, keepdims=True)
+    share = np.where(square > 0, (1 - 1 / np.sqrt(1 + square)) / np.maximum(square, 1e-300), 0.0)
+    return np.asarray(rows - (B * share) @ (np.swapaxes(B, 1, 2) @ rows))
 
 
 def _disagreement(shared: BiasedMeasurement, T_target_lidar: Floats, modes: Modes) -> float:
