@@ -16,7 +16,9 @@ from itertools import pairwise
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph.edges import UP
 from optshape_graph.errors import EstimationError
+from optshape_graph.factors.static import OUTER_EDGE, SharedError, angle_errors
 from optshape_graph.pose.association import enumerate_poses
 from optshape_graph.pose.evidence import Evidence, ends_of
 from optshape_graph.pose.firings import Firings
@@ -29,7 +31,7 @@ from optshape_graph.pose.propagation import (
     work_out,
 )
 from optshape_graph.pose.rays import Rays
-from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, rotation, transform, vec
+from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, rotation, transform, vec, vec_derivative
 from optshape_graph.sensor import SensorModel, angle_sds
 from optshape_graph.target import Target
 
@@ -66,6 +68,9 @@ BROAD = (0.25, 0.05)
 TRUSTED = 50.0
 """Effective samples below which samples settle nothing."""
 
+ASKED = 256
+"""Samples that are asked on which edge each ring ends."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledPose(Value):
@@ -75,11 +80,15 @@ class SampledPose(Value):
         T_target_lidar: (4, 4) posterior mean.
         offset: mean of the offset across the edges, in beam widths.
         covariance: (7, 7) of the right perturbation of T_target_lidar, rotation first, and of the offset.
+        errors: (K,) what other scans of the sensor or of the scene share: where rings look, and where the target ends.
+        effect: (7, K) how far the truth lies from pose and offset for a standard deviation of each.
     """
 
     T_target_lidar: Floats
     offset: float
     covariance: Floats
+    errors: tuple[SharedError, ...]
+    effect: Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -226,7 +235,7 @@ def compare_modes(candidates: Posterior, evidence: Evidence) -> Modes:
     best = _within(inverse(candidates.T_target_lidar), first, MODE, ITSELF, target.circumradius)
     order = np.argsort(~best, kind="stable")
     inside = Samples(samples.T[of_first], samples.scalar[of_first], samples.weight[of_first], samples.log_integral)
-    sampled = _moments(inside, first, target) if inside.effective > TRUSTED else None
+    sampled = _moments(inside, first, evidence) if inside.effective > TRUSTED else None
     return Modes(candidates.select(order), best[order], margin, rival, sampled)
 
 
@@ -331,14 +340,43 @@ def _components(posterior: Posterior, centre: Floats, size: float) -> Components
     )
 
 
-def _moments(samples: Samples, first: Floats, target: Target) -> SampledPose:
+def _moments(samples: Samples, first: Floats, evidence: Evidence) -> SampledPose:
     """Mean and covariance of samples of T_lidar_target about one of them, the target's equivalents being one."""
     weight = samples.weight / samples.weight.sum()
-    poses = inverse(target.nearest_equivalent(samples.T, first))
+    poses = inverse(evidence.problem.target.nearest_equivalent(samples.T, first))
     mean = inverse(first)
     for _ in range(3):
         xi = difference(mean, poses)
         mean = mean @ exp(weight @ xi)
     offset = float(weight @ samples.scalar)
     off = np.column_stack([difference(mean, poses), samples.scalar - offset])
-    return SampledPose(mean, offset, (weight[:, None] * off).T @ off)
+    equally = np.searchsorted(np.cumsum(weight), (np.arange(ASKED) + 0.5) / ASKED).clip(max=len(weight) - 1)
+    errors, effect = _effects(evidence, poses[equally])
+    return SampledPose(mean, offset, (weight[:, None] * off).T @ off, errors, effect)
+
+
+def _effects(evidence: Evidence, T_target_lidar: Floats) -> tuple[tuple[SharedError, ...], Floats]:
+    """Errors (K,) that scans share, and how far off the estimate the truth is for a standard deviation of each (7, K).
+
+    Linear in pose and offset: rows J x + B a of weight W are least at x = -C J^T W B a, C being the covariance. Poses
+    (S, 4, 4) that are equally likely don't agree where some rings end: the rows are theirs on average.
+    """
+    problem, T = evidence.bounded, T_target_lidar
+    edges = problem.edges
+    g = problem.geometry(T)
+    weight = 1.0 / (g.own + g.along**2 * (edges.width**2 / 12 + edges.shift**2))
+    m = g.direction @ T[:, :3, :3]
+    J = np.concatenate([np.cross(edges.points, m), m, g.across[..., None]], axis=-1)
+    D = vec_derivative(T)
+    information = (np.swapaxes(J, 1, 2) @ (weight[..., None] * J)).mean(axis=0)
+    information[:6, :6] += (np.swapaxes(D, 1, 2) @ problem.plane[:12, :12] @ D).mean(axis=0)
+    information[6, 6] += 1.0 / problem.beam.offset_of_rays(np.linalg.norm(edges.points, axis=1)) ** 2
+    none, whole = np.zeros(len(edges)), np.ones(len(edges))
+    lifted, errors = angle_errors(whole, none, edges.ring, problem.sensor)
+    turned, _ = angle_errors(none, whole, edges.ring, problem.sensor)
+    outside = np.abs(edges.side) == UP
+    between = np.abs(g.along) * edges.width / np.sqrt(12.0)
+    by_lift, by_turn, by_outer = (((weight * by)[..., None] * J).mean(axis=0).T for by in (g.lifted, g.turned, between))
+    pull = np.hstack([by_lift @ lifted + by_turn @ turned, by_outer[:, outside]])
+    outer = tuple(SharedError(OUTER_EDGE, ring=int(ring)) for ring in edges.ring[outside])
+    return (*errors, *outer), -np.linalg.solve(information, pull)

@@ -30,6 +30,10 @@ from optshape_graph.pose.evidence import Evidence, Finding
 from optshape_graph.pose.modes import Modes, SampledPose, compare_modes, find_candidates
 from optshape_graph.se3 import difference, vec, vec_derivative
 
+MOST = 0.5
+"""Share of a sampled pose's variance, in any direction, that errors which scans share explain at most: by how far they
+displace the pose differs a little from scan to scan, and where little is left that difference would tell the errors."""
+
 
 def find_by_rings(evidences: Sequence[Evidence]) -> list[Finding | EstimationError]:
     """Find targets' poses by the edges on which their rings end; see `estimate_poses`.
@@ -60,10 +64,10 @@ def _in_one_measurement(evidence: Evidence, modes: Modes) -> Finding:
     ends = evidence.problem.fit(T[0], labels[0, :n])
     if modes.sampled is None:
         on_edges, edge_weight = _edge_measurement(evidence, modes, ends.seen_strain, ends.factor)
+        shared = on_edges + on_plane
     else:
         offset_sd = problem.beam.offset_of_rays(np.linalg.norm(problem.edges.points, axis=1))
-        on_edges, edge_weight = sampled_measurement(modes.sampled, on_plane, offset_sd)
-    shared = on_edges + on_plane
+        shared, edge_weight = sampled_measurement(modes.sampled, on_plane, offset_sd)
 
     # What is uncertain beside: the surface, and associations that disagree or ends that scatter more than they should.
     T_target_lidar = refine(shared.of_one_scan().at(T[0]))
@@ -173,6 +177,39 @@ def _outer_edges(edges: EdgePoints, sigma: Floats, own: Floats) -> tuple[Floats,
 
 
 def sampled_measurement(
+    sampled: SampledPose, on_plane: BiasedMeasurement, offset_sd: float
+) -> tuple[BiasedMeasurement, float]:
+    """Say of a pose that was sampled what the plane and the edges say together.
+
+    To samples, what scans of one sensor or scene share is a blur. Each such error becomes a column of its own, which
+    displaces pose and offset, and its part is taken out of the blur.
+
+    Args:
+        sampled: pose and offset.
+        on_plane: what the returns of the plane say.
+        offset_sd: standard deviation of the offset before the scan, in beam widths.
+
+    Returns:
+        The measurement of plane and edges, and the sum of 1 / sigma^2 of the edges, 1/m2.
+    """
+    T, root = sampled.T_target_lidar, np.linalg.cholesky(sampled.covariance)
+    directions, size, errors = np.linalg.svd(np.linalg.solve(root, sampled.effect), full_matrices=False)
+    effect = root @ (directions * np.minimum(size, np.sqrt(MOST))) @ errors
+    blur = replace(sampled, covariance=sampled.covariance - effect @ effect.T)
+    on_edges, weight = _blurred_measurement(blur, on_plane, offset_sd)
+    shared = on_edges + on_plane
+    k = len(shared.shared)
+    columns = {error: shared.stack[:, i] for i, error in enumerate(shared.shared)}
+    A = shared.stack[:, k:-1]
+    J = np.column_stack([A @ vec_derivative(T), columns[SharedError(EDGE_OFFSET)] / offset_sd])
+    for error, moved in zip(sampled.errors, -(J @ effect).T, strict=True):
+        columns[error] = columns.get(error, 0.0) + moved
+    B = np.column_stack(list(columns.values()))
+    measurement = BiasedMeasurement.from_rows(A, B, shared.stack[:, -1], T, list(columns))
+    return replace(measurement, n_rows=shared.n_rows), weight
+
+
+def _blurred_measurement(
     sampled: SampledPose, on_plane: BiasedMeasurement, offset_sd: float
 ) -> tuple[BiasedMeasurement, float]:
     """Say of the edges what, with the plane, makes the pose that was sampled, its covariance and the offset's.
