@@ -43,7 +43,7 @@ MOST_REJECTED = 3
 @sensor_option
 @columns_option
 @click.option("--json", "json_path", type=JSON_FILE, help="Write the results to this file (- is standard "
-              "output); until it is whole they are kept in FILE.journal, from which a repeated run goes on.")  # fmt: skip
+              "output); until it is whole they are kept in FILE.journal, from which a rerun goes on.")  # fmt: skip
 @pool_options
 @force_option
 @report_option

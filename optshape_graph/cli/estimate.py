@@ -43,7 +43,7 @@ BYTES = 12_000
 @click.option("--backend", type=click.Choice(["closed-form", "clarabel", "cvxpy"]), default="closed-form",
               show_default=True, help="What solves the relaxation behind the certificate.")  # fmt: skip
 @click.option("--json", "json_path", type=JSON_FILE, help="Write the results to this file (- is standard "
-              "output); until it is whole they are kept in FILE.journal, from which a repeated run goes on.")  # fmt: skip
+              "output); until it is whole they are kept in FILE.journal, from which a rerun goes on.")  # fmt: skip
 @pool_options
 @force_option
 @report_option
