@@ -19,8 +19,10 @@ from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import Summary, summarise
 from optshape_graph.factors._rows import gaussian
+from optshape_graph.factors.summary import linearise
 from optshape_graph.graph.linear import LinearSystem
 from optshape_graph.graph.shared import Gain, gain, persistent
+from optshape_graph.graph.terms import huber_weight
 from optshape_graph.mapping.map import Landmark, Map
 from optshape_graph.mapping.smoother import Smoother, joint_prior, root_of
 from optshape_graph.mapping.track import Match, Odometry, Start
@@ -182,15 +184,23 @@ class IncrementalGraph:
         return persistent(system, keys, self._gains(system))
 
     def _gains(self, system: LinearSystem) -> Iterator[Gain]:
-        """What the errors of rings add to the information vector, by match; all are taken for its own."""
-        for held in self._held:
-            measurement = held.match.biased
-            if measurement is not None:
-                G = gain(measurement, held.T_target_lidar, measurement.shared)
-                target, lidar = self.landmarks[held.match.landmark].key, X(held.match.pose)
-                by_target = -adjoint(inverse(held.T_target_lidar)).T @ G
-                blocks = [(system.index([target]), by_target), (system.index([lidar]), G)]
-                yield Gain(blocks, [(held.match.sighting.lidar, error) for error in measurement.shared])
+        """What errors that are kept add to the information vector, by match; each was taken for its own."""
+        held = [one for one in self._held if one.match.sighting.biased is not None]
+        model = linearise([one.match.measurement for one in held], self._relative(held))
+        weights = huber_weight(np.square(model.residuals).sum(axis=1), LOSS)
+        for one, H, weight in zip(held, model.T_target_lidar, weights, strict=True):
+            measurement = one.match.biased
+            if measurement is not None:  # under this hypothesis it may not be known
+                G = gain(measurement, H, measurement.shared, weight)
+                target, lidar = self.landmarks[one.match.landmark].key, X(one.match.pose)
+                blocks = [(system.index([target]), -adjoint(inverse(H)).T @ G), (system.index([lidar]), G)]
+                yield Gain(blocks, [one.match.kept(error) for error in measurement.shared])
+
+    def _relative(self, held: Sequence[_Held]) -> Floats:
+        """T_target_lidar (m, 4, 4) of matches, as estimated."""
+        targets = {name: self.T_world_target(name) for name in {h.match.landmark for h in held}}
+        lidars = {pose: self.T_world_lidar(pose) for pose in {h.match.pose for h in held}}
+        return inverse(np.array([targets[h.match.landmark] for h in held])) @ [lidars[h.match.pose] for h in held]
 
     def map(self) -> Map:
         """Return the landmarks."""
@@ -346,9 +356,7 @@ class IncrementalGraph:
 
     def _resummarise(self, held: Sequence[_Held]) -> int:
         """Make those summaries again whose target has turned since; return how many."""
-        targets = {name: self.T_world_target(name) for name in {h.match.landmark for h in held}}
-        lidars = {pose: self.T_world_lidar(pose) for pose in {h.match.pose for h in held}}
-        now = inverse(np.array([targets[h.match.landmark] for h in held])) @ [lidars[h.match.pose] for h in held]
+        now = self._relative(held)
         stale = np.flatnonzero(_moved(np.array([h.T_target_lidar for h in held]), now) > STALE_M)
         if len(stale):
             again = [held[int(k)] for k in stale]
