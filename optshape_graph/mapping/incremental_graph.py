@@ -6,7 +6,7 @@ moves on, stale summaries are made again, some after every few poses, or all of 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -24,8 +24,9 @@ from optshape_graph.graph.linear import LinearSystem
 from optshape_graph.graph.shared import Gain, gain, persistent
 from optshape_graph.graph.terms import huber_weight
 from optshape_graph.mapping.map import Landmark, Map
+from optshape_graph.mapping.places import SLACK, Places
 from optshape_graph.mapping.smoother import Smoother, joint_prior, root_of
-from optshape_graph.mapping.track import Match, Odometry, Start
+from optshape_graph.mapping.track import Match, Odometry, Sighting, Start
 from optshape_graph.se3 import adjoint, inverse
 from optshape_graph.target import Target
 
@@ -38,6 +39,9 @@ STALE_M = 5e-4
 
 CHECKED_NEW, CHECKED_OLD = 40, 40
 """How many summaries are looked at at a time: of the newest, and of the others in turn."""
+
+NEAREST = 12
+"""How many landmarks a sighting without a name is compared with at most: those nearest to where it was seen."""
 
 SETTLING = 10
 """Rounds of `settle` at most."""
@@ -92,6 +96,8 @@ class IncrementalGraph:
         self._pending: _Pending | None = None
         self._odometry: list[Odometry] = []
         self._smoother = Smoother(lag)
+        self._places = Places()
+        self._looked = 0  # the smoother's work when all places were looked at
         self._held: list[_Held] = []
         self._turn = 0
         self._made = 0
@@ -132,6 +138,37 @@ class IncrementalGraph:
     def T_world_target(self, name: str) -> Floats:
         """Return the estimate (4, 4) of a landmark."""
         return self._smoother.pose(self.landmarks[name].key)
+
+    def near(self, sighting: Sighting, T_world_lidar: Floats) -> dict[str, Floats]:
+        """Return T_world_target (4, 4) of the landmarks that a sighting from the newest pose may be of, nearest first.
+
+        Args:
+            sighting: without a name.
+            T_world_lidar: (4, 4) newest pose.
+        """
+        return self._up_to_date(lambda: self._places.near(sighting, T_world_lidar)[:NEAREST])
+
+    def within(self, place: Floats, distance: float) -> dict[str, Floats]:
+        """Return T_world_target (4, 4) of the landmarks about a place (3,), to a distance in metres or a bit more."""
+        return self._up_to_date(lambda: self._places.within(place, distance))
+
+    def apart(self, pose: int, distance: float) -> float:
+        """Return how far off what a pose saw may seem from the newest one, by odometry alone; see `Places`."""
+        return self._places.apart(pose, distance)
+
+    def _up_to_date(self, asked: Callable[[], list[str]]) -> dict[str, Floats]:
+        """Ask the array of places for landmarks, again if it was not up to date."""
+        if self._smoother.worked - self._looked > len(self._places):  # looking costs no more than what it did
+            self._put_all()
+        found = {name: self.T_world_target(name) for name in asked()}
+        if self._places.put(found) > SLACK:
+            self._put_all()
+            found = {name: self.T_world_target(name) for name in asked()}
+        return found
+
+    def _put_all(self) -> None:
+        self._looked = self._smoother.worked
+        self._places.put({name: self.T_world_target(name) for name in self.landmarks})
 
     def covariance(self, landmarks: Sequence[str] = (), poses: Sequence[int] = ()) -> Floats:
         """Return the joint covariance (d, d) of landmarks, then poses, each of its right perturbation, rotation first.
@@ -226,13 +263,15 @@ class IncrementalGraph:
         for landmark in known.landmarks:
             entry = self._begin(landmark.id, landmark.target)
             entry.observations, entry.surveyed = landmark.observations, True
+            place = landmark.T_world_target[:3, 3]
+            self._places.add(landmark.id, landmark.target.name, place, landmark.covariance)
             values.insert(entry.key, gtsam.Pose3(landmark.T_world_target))
         keys = [entry.key for entry in self.landmarks.values()]
         try:
             factors = joint_prior(keys, [m.T_world_target for m in known.landmarks], known.covariance)
         except np.linalg.LinAlgError as error:
             raise InputError("the covariance of the known landmarks is not positive definite") from error
-        self._smoother.update(factors, values)
+        self._smoother.update(factors, values, finite=True)
 
     def add_start(self, start: Start, stamp: float) -> None:
         """Add the first pose, where it is known to be."""
@@ -240,17 +279,20 @@ class IncrementalGraph:
         values.insert(X(0), pose)
         prior = gtsam.PriorFactorPose3(X(0), pose, gaussian(root_of(start.covariance, "start")))
         self._smoother.update([prior], values, stamps={X(0): stamp})
+        self._places.start(start.covariance)
 
     def begin(self, pose: int, stamp: float, odometry: Odometry) -> None:
         """Begin a pose, its number following the one before, where odometry has it; stamp in seconds."""
         self._flush()
         T_world_lidar = self.T_world_lidar(odometry.i) @ odometry.T_i_j
         self._pending = _Pending(pose, stamp, T_world_lidar, odometry)
+        self._places.move(odometry)
 
     def begin_at(self, pose: int, stamp: float, T_world_lidar: Floats) -> None:
         """Begin a pose at (4, 4) that only its matches will link; stamp in seconds."""
         self._flush()
         self._pending = _Pending(pose, stamp, T_world_lidar, None)
+        self._places.jump(pose)
 
     def add_matches(self, matches: Sequence[tuple[Match, Floats, Summary]]) -> bool:
         """Add matches of the newest pose, and the pose with them; say whether the graph bears them.
@@ -283,10 +325,7 @@ class IncrementalGraph:
         pending = self._pending
         if pending is None and not matches:
             return
-        factors: list[gtsam.NonlinearFactor] = [
-            summary.factor(self.landmarks[match.landmark].key, X(match.pose), self._loss)
-            for match, _, summary in matches
-        ]
+        factors = self._factors([match for match, _, _ in matches], [summary for _, _, summary in matches])
         finite = all(summary.is_finite for _, _, summary in matches)
         values, stamps = gtsam.Values(), {}
         if pending is not None:
@@ -303,6 +342,7 @@ class IncrementalGraph:
         for (match, T, _), handle in zip(matches, handles, strict=False):
             self._held.append(_Held(match, T, handle))
             self.landmarks[match.landmark].observations += 1
+        self._see([match for match, _, _ in matches], [summary for _, _, summary in matches])
         if self.lag is not None:
             self._held = [held for held in self._held if held.match.pose in self]
             self._odometry.clear()
@@ -314,12 +354,15 @@ class IncrementalGraph:
         T_target_lidar = [inverse(T_world_target) @ self.T_world_lidar(match.pose) for match in matches]
         values = gtsam.Values()
         values.insert(entry.key, gtsam.Pose3(T_world_target))
+        summaries = summarise([match.measurement for match in matches], np.stack(T_target_lidar))
         try:
-            handles = self._smoother.update(self._factors(matches, T_target_lidar), values)
+            handles = self._smoother.update(self._factors(matches, summaries), values)
         except EstimationError:
             del self.landmarks[name]
             return False
         entry.observations = len(matches)
+        self._places.add(name, target.name, T_world_target[:3, 3])
+        self._see(matches, summaries)
         self._held += [_Held(m, T, handle) for m, T, handle in zip(matches, T_target_lidar, handles, strict=True)]
         return True
 
@@ -329,6 +372,7 @@ class IncrementalGraph:
         self._held = [held for held in self._held if held.match.landmark != name]
         self._smoother.update([], gtsam.Values(), [held.handle for held in gone])
         del self.landmarks[name]
+        self._places.remove(name)
 
     # ---- up to date --------------------------------------------------------------------------------------------------
 
@@ -360,21 +404,25 @@ class IncrementalGraph:
         stale = np.flatnonzero(_moved(np.array([h.T_target_lidar for h in held]), now) > STALE_M)
         if len(stale):
             again = [held[int(k)] for k in stale]
-            factors = self._factors([h.match for h in again], list(now[stale]))
+            summaries = summarise([h.match.measurement for h in again], now[stale])
+            factors = self._factors([h.match for h in again], summaries)
             everything = len(held) == len(self._held)
             handles = self._smoother.update(factors, gtsam.Values(), [h.handle for h in again], force=everything)
             for h, T, handle in zip(again, now[stale], handles, strict=True):
                 h.T_target_lidar, h.handle = T, handle
         return len(stale)
 
-    def _factors(self, matches: Sequence[Match], T_target_lidar: Sequence[Floats]) -> list[gtsam.NonlinearFactor]:
-        if not matches:
-            return []
-        summaries = summarise([match.measurement for match in matches], np.stack(T_target_lidar))
+    def _factors(self, matches: Sequence[Match], summaries: Sequence[Summary]) -> list[gtsam.NonlinearFactor]:
         return [
             summary.factor(self.landmarks[match.landmark].key, X(match.pose), self._loss)
             for match, summary in zip(matches, summaries, strict=True)
         ]
+
+    def _see(self, matches: Sequence[Match], summaries: Sequence[Summary]) -> None:
+        if matches:
+            H, root = ([getattr(s, name) for s in summaries] for name in ("T_target_lidar", "sqrt_information"))
+            names, poses = [match.landmark for match in matches], [match.pose for match in matches]
+            self._places.see(names, poses, np.array(H), np.array(root))
 
     def _begin(self, name: str, target: Target) -> Known:
         entry = self.landmarks[name] = Known(L(self._made), target)

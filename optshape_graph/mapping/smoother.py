@@ -32,15 +32,17 @@ DETERMINED = 1e-7
 
 
 class Smoother:
-    """Incremental smoothing and mapping (Kaess et al., ISAM2, IJRR 2012) of everything, or of the latest poses.
+    """Incremental smoothing and mapping (Kaess et al., ISAM2, IJRR 2012) of poses, all of them or the latest.
 
     Attributes:
         lag: seconds after which a variable with a stamp is marginalised; None: never. What is marginalised stays in
             force as a prior on what is left.
+        worked: number of variables that updates have eliminated again: after so much work estimates may have moved.
     """
 
     def __init__(self, lag: float | None = None) -> None:
         self.lag = lag
+        self.worked = 0
         self._isam = _new_isam(lag)
         self._factors: dict[int, gtsam.NonlinearFactor] = {}  # by handle, which outlives ISAM2's slots
         self._slots: dict[int, int] = {}
@@ -89,6 +91,7 @@ class Smoother:
             raise EstimationError(f"the factors do not determine the variables: {error}") from error
         for handle in removed:
             del self._factors[handle], self._slots[handle]
+        self.worked += result.getVariablesReeliminated()
         handles = self._hold(factors, result.getNewFactorsIndices())
         if self.lag is not None:
             self._stamps.update(stamps or {})
