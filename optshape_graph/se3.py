@@ -239,6 +239,24 @@ def inverse_covariance(T_a_b: ArrayLike, covariance: ArrayLike) -> Floats:
     return np.asarray(Ad @ np.asarray(covariance, float) @ np.swapaxes(Ad, -1, -2))
 
 
+def relative_covariance(T_a_b: Floats, covariance: Floats, a: slice | None, b: slice | None) -> Floats:
+    """Return the covariance (6, 6) of T_a_b = T_a^-1 T_b, of its right perturbation.
+
+    Args:
+        T_a_b: (4, 4).
+        covariance: (n, n), in which the right perturbations of T_a and T_b have rows.
+        a: the rows of T_a's, rotation first; None: it is exact.
+        b: those of T_b's.
+    """
+    J = np.zeros((6, len(covariance)))
+    # (T_a Exp(x_a))^-1 T_b Exp(x_b) = T_a_b Exp(x_b - Ad(T_b_a) x_a)
+    if b is not None:
+        J[:, b] += np.eye(6)
+    if a is not None:
+        J[:, a] -= adjoint(inverse(T_a_b))
+    return np.asarray(J @ covariance @ J.T)
+
+
 def _coefficients(theta: Floats) -> tuple[Floats, Floats, Floats]:
     """sin(x) / x, (1 - cos(x)) / x^2 and (x - sin(x)) / x^3 of angles (...), each as (..., 1, 1)."""
     first = np.sinc(theta / np.pi)[..., None, None]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from optshape_graph.io.results import Result
+
 TRUSTED = "to be trusted"
 WITH_CARE = "to be trusted, the warnings being read"
 NOT_TRUSTED = "not to be trusted"
@@ -26,11 +28,31 @@ class Finding:
     grave: bool
 
 
-def verdict(findings: Sequence[Finding]) -> str:
-    """Return TRUSTED, WITH_CARE where there are findings, or NOT_TRUSTED where one of them is grave."""
-    if any(finding.grave for finding in findings):
-        return NOT_TRUSTED
-    return WITH_CARE if findings else TRUSTED
+class Calibration(Result):
+    """Base of the results of calibrations, which judge themselves.
+
+    Attributes:
+        findings: what is wrong, was mended, or has to be known before trusting the result.
+    """
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings in words."""
+        return tuple(finding.text for finding in self.findings)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether nothing forbids to trust the result."""
+        return not any(finding.grave for finding in self.findings)
+
+    @property
+    def verdict(self) -> str:
+        """TRUSTED, WITH_CARE where there are findings, or NOT_TRUSTED where one of them is grave."""
+        if not self.trusted:
+            return NOT_TRUSTED
+        return WITH_CARE if self.findings else TRUSTED
 
 
 def of_doubts(doubts: Sequence[str]) -> list[Finding]:

@@ -7,9 +7,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from optshape_graph.cli.console import say, say_passed_over, warn
-from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import Number, example, force_option, outside_option
+from optshape_graph.cli.calibrate import (
+    conclude_calibration,
+    crops_option,
+    json_option,
+    range_bias_option,
+    session_argument,
+)
+from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.html_report import report_option
+from optshape_graph.cli.options import example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -19,26 +26,19 @@ if TYPE_CHECKING:
 @click.command(
     epilog=example("optshape calibrate camera session.yaml --json camera.json --report camera.html --plot pictures")
 )
-@click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to "
-              "this file; until it is whole, what was found is kept in FILE.journal.")  # fmt: skip
+@session_argument
+@json_option
 @report_option
 @plot_option("errors of the views, and for each its image with the returns and outlines", "--overlays")
 @click.option("--camchain", type=click.Path(path_type=Path), help="Write a Kalibr-style camchain to this file.")
-@click.option("--use-target-points", is_flag=True, help="Take the targets' returns from the views' manual crops.")
+@crops_option
 @click.option(
     "--refine-intrinsics/--keep-intrinsics",
     default=None,
     help="Refine the cameras' focal lengths and distortion, the given ones being a prior, or never do. Without "
     "either: where the images contradict them.",
 )
-@click.option(
-    "--range-bias-sigma",
-    type=Number(0.0, 10.0),
-    default=0.03,
-    show_default=True,
-    help="Prior standard deviation of a LiDAR's range bias, metres; 0: it has none.",
-)
+@range_bias_option(0.03, "Prior standard deviation of a LiDAR's range bias, metres; 0: it has none.")
 @force_option
 @outside_option
 def command(
@@ -98,11 +98,7 @@ def command(
         with progress_bar("overlays") as progress:
             pictures.paths += save_overlays(calibration, plots, progress)
         pictures.tell()
-    say_passed_over(calibration.passed_over)
-    for warning in calibration.warnings:
-        warn(f"warning: {warning}")
-    say(f"The calibration is {calibration.verdict}.")
-    conclude(calibration.to_dict(), html, pictures.paths if pictures else ())
+    conclude_calibration(calibration, calibration.passed_over, html, pictures)
     return 0 if calibration.trusted and all(result.used for result in calibration.views) else 3
 
 

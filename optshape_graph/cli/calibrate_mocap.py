@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from optshape_graph.cli.console import say, say_passed_over, warn
-from optshape_graph.cli.html_report import conclude, report_option
+from optshape_graph.cli.calibrate import conclude_calibration, json_option, session_argument
+from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.html_report import report_option
 from optshape_graph.cli.options import example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
@@ -20,10 +21,9 @@ if TYPE_CHECKING:
 @click.command(
     epilog=example("optshape calibrate mocap session.yaml --json mocap.json --report mocap.html --plot pictures")
 )
-@click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
+@session_argument
 @click.option("--estimate-scale", is_flag=True, help="Estimate the motion capture's scale too; else it is 1.")
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to "
-              "this file; until it is whole, what was estimated is kept in FILE.journal.")  # fmt: skip
+@json_option
 @force_option
 @report_option
 @plot_option("errors of the scans, where the target stood, where the markers are")
@@ -79,11 +79,7 @@ def command(
         pictures.save("placements", plot_placements(result))
         pictures.save("markers", plot_marker_layout(result))
         pictures.tell()
-    say_passed_over(result.passed_over)
-    for warning in result.warnings:
-        warn(f"warning: {warning}")
-    say(f"The calibration is {result.verdict}.")
-    conclude(result.to_dict(), html, pictures.paths if pictures else ())
+    conclude_calibration(result, result.passed_over, html, pictures)
     return 0 if result.trusted and not result.left_out else 3
 
 

@@ -7,9 +7,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from optshape_graph.cli.console import say, say_passed_over, warn
-from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import Number, example, force_option, outside_option
+from optshape_graph.cli.calibrate import (
+    conclude_calibration,
+    crops_option,
+    json_option,
+    range_bias_option,
+    session_argument,
+)
+from optshape_graph.cli.console import say, warn
+from optshape_graph.cli.html_report import report_option
+from optshape_graph.cli.options import example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 if TYPE_CHECKING:
@@ -17,8 +24,8 @@ if TYPE_CHECKING:
 
 
 @click.command(epilog=example("optshape calibrate rig session.yaml --json rig.json --report rig.html --export rig"))
-@click.argument("session", type=click.Path(path_type=Path), metavar="SESSION.yaml")
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file.")
+@session_argument
+@json_option
 @report_option
 @plot_option("the rig, its frames with what is not known of them, and errors of the sightings")
 @click.option(
@@ -26,13 +33,10 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Write the rig to this folder for Kalibr, URDF, ROS 1 and 2, and Autoware.",
 )
-@click.option("--use-target-points", is_flag=True, help="Take the targets' returns from the views' manual crops.")
-@click.option(
-    "--range-bias-sigma",
-    type=Number(0.0, 10.0),
-    default=0.0,
-    show_default=True,
-    help="Standard deviation of a range bias that all rings of a LiDAR have alike, metres, beside what its sensor file "
+@crops_option
+@range_bias_option(
+    0.0,
+    "Standard deviation of a range bias that all rings of a LiDAR have alike, metres, beside what its sensor file "
     "says of each ring's own.",
 )
 @force_option
@@ -94,11 +98,7 @@ def command(
         if any(sensor.rings for sensor in calibration.sensors):
             pictures.save("rings", plot_rings(calibration))
         pictures.tell()
-    say_passed_over(calibration.passed_over)
-    for warning in calibration.warnings:
-        warn(f"warning: {warning}")
-    say(f"The calibration is {calibration.verdict}.")
-    conclude(calibration.to_dict(), html, pictures.paths if pictures else ())
+    conclude_calibration(calibration, calibration.passed_over, html, pictures)
     return 0 if calibration.trusted and not calibration.contradicting else 3
 
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from optshape_graph.cli.calibrate import conclude_calibration, crops_option, json_option
 from optshape_graph.cli.console import say, warn
-from optshape_graph.cli.html_report import conclude, report_option
+from optshape_graph.cli.html_report import report_option
 from optshape_graph.cli.options import FILE, POSITIVE, example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
@@ -31,10 +32,9 @@ if TYPE_CHECKING:
               help="Measured between boards while both stood: tells the mean range. Vertices from 0.")  # fmt: skip
 @click.option("--distance-sd", type=POSITIVE, default=0.002, show_default=True, metavar="METRES",
               help="Standard deviation of these distances.")  # fmt: skip
-@click.option("--use-target-points", is_flag=True, help="Take the crops by hand of a session's views.")
+@crops_option
 @click.option("-o", "--output", type=FILE, required=True, help="Sensor file to write, ending in .yaml.")
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results to "
-              "this file; until it is whole, what was found is kept in FILE.journal.")  # fmt: skip
+@json_option
 @force_option
 @report_option
 @plot_option("how far each ring is off boards that took no part, before and after; and what was found of each ring")
@@ -110,12 +110,9 @@ def command(
         pictures.save("residuals", plot_ring_residuals(result))
         pictures.save("rings", plot_ring_deviations(result))
         pictures.tell()
-    for warning in result.warnings:
-        warn(f"warning: {warning}")
     if not result.helps:
         warn(f"{output} was not written")
-    say(f"The calibration is {result.verdict}.")
-    conclude(result.to_dict(), html, pictures.paths if pictures else ())
+    conclude_calibration(result, None, html, pictures)
     return 0 if result.helps and result.trusted else 3
 
 

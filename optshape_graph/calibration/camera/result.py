@@ -20,11 +20,11 @@ from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.camera.uncertainty import Uncertainty
 from optshape_graph.calibration.exports import Mounted, static_transforms
 from optshape_graph.calibration.free_shape import MeasuredShape, measure_shape
-from optshape_graph.calibration.verdict import NOT_TRUSTED, Finding, verdict
+from optshape_graph.calibration.verdict import Calibration, Finding
 from optshape_graph.errors import EstimationError
 from optshape_graph.io.passed_over import PassedOver
-from optshape_graph.io.results import Result, Row
-from optshape_graph.se3 import adjoint, difference, inverse, inverse_covariance
+from optshape_graph.io.results import Row
+from optshape_graph.se3 import difference, inverse, inverse_covariance, relative_covariance
 from optshape_graph.target import Target
 
 
@@ -47,7 +47,7 @@ class ViewResult(Value):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CameraCalibration(Result):
+class CameraCalibration(Calibration):
     """The sensors' places, and how far to trust them.
 
     Attributes:
@@ -89,21 +89,6 @@ class CameraCalibration(Result):
     sightings: tuple[Sighting, ...]
     passed_over: PassedOver = field(default_factory=PassedOver, compare=False)
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """The findings in words."""
-        return tuple(finding.text for finding in self.findings)
-
-    @property
-    def verdict(self) -> str:
-        """Whether the result is to be trusted, in words."""
-        return verdict(self.findings)
-
-    @property
-    def trusted(self) -> bool:
-        """Whether nothing forbids to trust the result."""
-        return self.verdict != NOT_TRUSTED
-
     def transform(self, a: str, b: str, rig: Rig | None = None) -> tuple[Floats, Floats]:
         """Return T_a_b (4, 4) of two sensors, and the covariance (6, 6) of its right perturbation (frame b).
 
@@ -116,17 +101,12 @@ class CameraCalibration(Result):
             b: another's.
             rig: `rig`, which is for clouds as they come (by default), `corrected` or `given`.
         """
-        rows = self.uncertainty.rows
         T, T_likely = (
             inverse(each.T_base_sensor[a]) @ each.T_base_sensor[b] for each in (rig or self.rig, self.most_likely)
         )
-        J = np.zeros((6, len(self.uncertainty.covariance)))
-        # (T_a Exp(x_a))^-1 T_b Exp(x_b) = T_a_b Exp(x_b - Ad(T_b_a) x_a)
-        for name, block in ((b, np.eye(6)), (a, -adjoint(inverse(T_likely)))):
-            if ("pose", name) in rows:
-                J[:, rows["pose", name]] += block
+        rows = (self.uncertainty.rows.get(("pose", name)) for name in (a, b))
         moved = difference(T, T_likely)
-        return T, J @ self.uncertainty.covariance @ J.T + np.outer(moved, moved)
+        return T, relative_covariance(T_likely, self.uncertainty.covariance, *rows) + np.outer(moved, moved)
 
     def mounted(self) -> list[Mounted]:
         """Return where the sensors are, for clouds as they come: LiDARs first, the base before all."""

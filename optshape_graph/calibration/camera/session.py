@@ -36,6 +36,9 @@ Progress = Callable[[int, int], None]
 ImageKey = tuple[Path, str, str]
 """File, camera and target."""
 
+ScanKey = tuple[Path, str, str]
+"""File, LiDAR and target."""
+
 ScanResult = TargetInScan | EstimationError | InputError
 ImageResult = TargetInImage | EstimationError | InputError
 
@@ -64,23 +67,8 @@ def read_views(
         EstimationError: no image, or no scan, shows a target; the message has the reason of each.
     """
     check_session(session)
-    of_images, of_scans = image_tasks(session), scan_tasks(session, use_target_points)
-    total, done, lock = len(of_images) + len(of_scans), 0, Lock()
-
-    def tick() -> None:
-        nonlocal done
-        with lock:
-            done += 1
-            if progress is not None:
-                progress(done, total)
-
-    kept = kept or Kept()
-    images = read_images(session, of_images, tick, kept)
-    passed_over = PassedOver() if passed_over is None else passed_over
-    scans = read_scans(session, of_scans, use_target_points, tick, passed_over.unused("scans"), kept)
+    scans, images = read_files(session, use_target_points, progress, passed_over, kept)
     check_found(session, scans.values(), TargetInScan, "scan")
-    for source, results in (("scans", scans), ("images", images)):
-        count_skipped(passed_over, source, results)
     placements = moments_of(session.views)
     views = []
     for number, entry in enumerate(session.views):
@@ -100,6 +88,44 @@ def read_views(
                 )
             )
     return views
+
+
+def read_files(
+    session: Session,
+    use_target_points: bool,
+    progress: Progress | None,
+    passed_over: PassedOver | None,
+    kept: Kept | None,
+) -> tuple[dict[ScanKey, ScanResult], dict[ImageKey, ImageResult]]:
+    """Find the session's targets in its scans and in its images, each by file, sensor and target.
+
+    Args:
+        session: of any sensors.
+        use_target_points: whether to take the target's returns from the views' manual crops.
+        progress: called as images and scans are done.
+        passed_over: counts the scans and images that show nothing, and the clouds' fields that are not used.
+        kept: what a run that was stopped found, and this one finds; None: it is not kept.
+
+    Raises:
+        InputError: crops that were asked for are missing; or the intrinsics fit half of the images or fewer.
+        EstimationError: no image, though there are some, shows a target; the message has the reason of each.
+    """
+    of_images, of_scans = image_tasks(session), scan_tasks(session, use_target_points)
+    total, done, lock = len(of_images) + len(of_scans), 0, Lock()
+
+    def tick() -> None:
+        nonlocal done
+        with lock:
+            done += 1
+            if progress is not None:
+                progress(done, total)
+
+    kept, passed_over = kept or Kept(), PassedOver() if passed_over is None else passed_over
+    images = read_images(session, of_images, tick, kept) if of_images else {}
+    scans = read_scans(session, of_scans, use_target_points, tick, passed_over.unused("scans"), kept)
+    count_skipped(passed_over, "scans", scans)
+    count_skipped(passed_over, "images", images)
+    return scans, images
 
 
 def target_in_scan(
@@ -235,13 +261,13 @@ def read_scans(
     tick: Callable[[], None],
     unused: Counter[str],
     kept: Kept,
-) -> dict[tuple[Path, str, str], ScanResult]:
+) -> dict[ScanKey, ScanResult]:
     """Find targets in scans, by file, LiDAR and target.
 
     Raises:
         InputError: a file that cannot be read.
     """
-    results: dict[tuple[Path, str, str], ScanResult] = {}
+    results: dict[ScanKey, ScanResult] = {}
     for (path, lidar), names in tasks.items():
         targets = {name: session.targets[name] for name in names}
         for name, result in _in_scan(path, session.lidars[lidar], lidar, targets, are_crops, unused, kept).items():

@@ -9,9 +9,9 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, shortened
 from optshape_graph.calibration.mocap.comparison import MocapScan, ScanError, mean_error
-from optshape_graph.calibration.verdict import NOT_TRUSTED, Finding, verdict
+from optshape_graph.calibration.verdict import Calibration, Finding
 from optshape_graph.io.passed_over import PassedOver
-from optshape_graph.io.results import Result, Row
+from optshape_graph.io.results import Row
 from optshape_graph.se3 import inverse, inverse_covariance
 from optshape_graph.target import Target
 
@@ -30,7 +30,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MocapCalibration(Result):
+class MocapCalibration(Calibration):
     """A LiDAR tied to motion capture.
 
     Attributes:
@@ -85,21 +85,6 @@ class MocapCalibration(Result):
     def covariance_mocap_lidar(self) -> Floats:
         """(6, 6) of the right perturbation of T_mocap_lidar: rotation first, LiDAR frame."""
         return inverse_covariance(self.T_lidar_mocap, self.covariance)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """The findings in words."""
-        return tuple(finding.text for finding in self.findings)
-
-    @property
-    def verdict(self) -> str:
-        """Whether the result is to be trusted, in words."""
-        return verdict(self.findings)
-
-    @property
-    def trusted(self) -> bool:
-        """Whether nothing forbids to trust the result."""
-        return self.verdict != NOT_TRUSTED
 
     def __repr__(self) -> str:
         mean, sd = mean_error(self.leave_one_out), np.sqrt(np.diag(self.covariance))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.lens import LensCheck, check_lenses
 from optshape_graph.calibration.camera.noise import noise_factors, scaled
+from optshape_graph.calibration.camera.session import Progress
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.calibration.rig.discrepancy import settled
@@ -39,9 +40,6 @@ from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import About, Session, load_session
 from optshape_graph.runs.kept import Kept
 from optshape_graph.se3 import adjoint, inverse
-
-Progress = Callable[[int, int], None]
-"""Called with how many files are done, and how many there are."""
 
 
 def calibrate_rig(

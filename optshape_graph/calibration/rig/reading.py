@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
-from threading import Lock
 
 import numpy as np
 
@@ -13,15 +11,13 @@ from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.session import (
     ImageKey,
     ImageResult,
+    Progress,
+    ScanKey,
     ScanResult,
-    count_skipped,
-    image_tasks,
     moments_of,
-    read_images,
-    read_scans,
+    read_files,
     relative_to,
     scan_file,
-    scan_tasks,
 )
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.mocap.comparison import MIN_MARKERS, align
@@ -33,9 +29,6 @@ from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Mocap, Session, View, sensors_of
 from optshape_graph.runs.kept import Kept
 from optshape_graph.target import Target
-
-Progress = Callable[[int, int], None]
-"""Called with how many files are done, and how many there are."""
 
 MARKER_SIGMA = 1e-3
 """Standard deviation of a marker coordinate, metres."""
@@ -82,22 +75,7 @@ def read_sightings(
         raise InputError(
             f"{session.path}: a rig is of two sensors at least; the session names {', '.join(sensors)} alone"
         )
-    passed_over = PassedOver() if passed_over is None else passed_over
-    of_images, of_scans = image_tasks(session), scan_tasks(session, use_target_points)
-    total, done, lock = len(of_images) + len(of_scans), 0, Lock()
-
-    def tick() -> None:
-        nonlocal done
-        with lock:
-            done += 1
-            if progress is not None:
-                progress(done, total)
-
-    kept = kept or Kept()
-    images = read_images(session, of_images, tick, kept) if of_images else {}
-    scans = read_scans(session, of_scans, use_target_points, tick, passed_over.unused("scans"), kept)
-    count_skipped(passed_over, "scans", scans)
-    count_skipped(passed_over, "images", images)
+    scans, images = read_files(session, use_target_points, progress, passed_over, kept)
     vertices = _vertices(session)
     moments = moments_of(session.views)
     sightings: dict[Hashable, Sighting] = {}
@@ -138,7 +116,7 @@ def _seen(
     session: Session,
     view: View,
     target: Target,
-    scans: Mapping[tuple[Path, str, str], ScanResult],
+    scans: Mapping[ScanKey, ScanResult],
     images: Mapping[ImageKey, ImageResult],
     vertices: Mapping[str, Mapping[str, int]],
     use_target_points: bool,

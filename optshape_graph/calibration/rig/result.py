@@ -13,12 +13,12 @@ from optshape_graph._arrays import Floats, Value, shortened
 from optshape_graph.calibration.camera.observability import Direction, principal_directions
 from optshape_graph.calibration.exports import Mounted, static_transforms
 from optshape_graph.calibration.rig.sightings import Kind
-from optshape_graph.calibration.verdict import NOT_TRUSTED, Finding, verdict
+from optshape_graph.calibration.verdict import Calibration, Finding
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.io.passed_over import PassedOver
-from optshape_graph.io.results import Result, Row
-from optshape_graph.se3 import adjoint, inverse, inverse_covariance
+from optshape_graph.io.results import Row
+from optshape_graph.se3 import inverse, inverse_covariance, relative_covariance
 
 AXES = ("x", "y", "z")
 
@@ -136,7 +136,7 @@ class NextPlacement(Value):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RigCalibration(Result):
+class RigCalibration(Calibration):
     """Where a rig's sensors are to one another, and how far to trust it.
 
     Attributes:
@@ -178,24 +178,9 @@ class RigCalibration(Result):
         return list(combinations(self.names, 2))
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """The findings in words."""
-        return tuple(finding.text for finding in self.findings)
-
-    @property
     def contradicting(self) -> tuple[SightingResult, ...]:
         """The sightings that take no part because they contradict the others."""
         return tuple(sighting for sighting in self.sightings if sighting.reason.startswith(DISAGREES))
-
-    @property
-    def verdict(self) -> str:
-        """Whether the result is to be trusted, in words."""
-        return verdict(self.findings)
-
-    @property
-    def trusted(self) -> bool:
-        """Whether nothing forbids to trust the result."""
-        return self.verdict != NOT_TRUSTED
 
     def transform(self, a: str, b: str) -> tuple[Floats, Floats]:
         """Return T_a_b (4, 4), and the covariance (6, 6) of its right perturbation: rotation first, frame b.
@@ -205,12 +190,8 @@ class RigCalibration(Result):
         """
         i, j = self._number(a), self._number(b)
         T = inverse(self.sensors[i].T_base_sensor) @ self.sensors[j].T_base_sensor
-        # (T_a Exp(x_a))^-1 T_b Exp(x_b) = T_a_b Exp(x_b - Ad(T_b_a) x_a)
-        J = np.zeros((6, len(self.covariance)))
-        for number, block in ((j, np.eye(6)), (i, -adjoint(inverse(T)))):
-            if number > 0:
-                J[:, 6 * number - 6 : 6 * number] += block
-        return T, J @ self.covariance @ J.T
+        rows = (slice(6 * k - 6, 6 * k) if k > 0 else None for k in (i, j))
+        return T, relative_covariance(T, self.covariance, *rows)
 
     def as_they_come(self, a: str, b: str) -> Floats:
         """Return T_a_b (4, 4) for clouds whose rings nobody corrects.

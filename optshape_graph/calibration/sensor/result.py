@@ -10,8 +10,8 @@ import numpy as np
 from optshape_graph._arrays import Floats, frozen, shortened
 from optshape_graph.calibration.sensor.noise import Sampling
 from optshape_graph.calibration.sensor.told import Direction
-from optshape_graph.calibration.verdict import NOT_TRUSTED, Finding, verdict
-from optshape_graph.io.results import Result, Row
+from optshape_graph.calibration.verdict import Calibration, Finding
+from optshape_graph.io.results import Row
 from optshape_graph.sensor import SensorModel
 
 
@@ -37,7 +37,7 @@ class PlacementResult:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SensorCalibration(Result):
+class SensorCalibration(Calibration):
     """A sensor, its rings calibrated.
 
     Attributes:
@@ -82,21 +82,6 @@ class SensorCalibration(Result):
     def helps(self) -> bool:
         """Whether placements that took no part become likelier: else the calibration is not to be written."""
         return self.gain > 0
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """The findings in words."""
-        return tuple(finding.text for finding in self.findings)
-
-    @property
-    def verdict(self) -> str:
-        """Whether the result is to be trusted, in words."""
-        return verdict(self.findings)
-
-    @property
-    def trusted(self) -> bool:
-        """Whether nothing forbids to trust the result."""
-        return self.verdict != NOT_TRUSTED
 
     def __repr__(self) -> str:
         before, after = (1e3 * _rms(values) for values in (self.before, self.after))
