@@ -40,6 +40,10 @@ STALE_M = 5e-4
 CHECKED_NEW, CHECKED_OLD = 40, 40
 """How many summaries are looked at at a time: of the newest, and of the others in turn."""
 
+MOVED = 4
+"""Times that the smoother has eliminated as many variables again as there are landmarks, before all places are looked
+at: that costs a small part of its work. Landmarks that are in question are looked at in any case."""
+
 NEAREST = 12
 """How many landmarks a sighting without a name is compared with at most: those nearest to where it was seen."""
 
@@ -82,10 +86,19 @@ class _Pending(NamedTuple):
     odometry: Odometry | None
 
 
+class _Waiting(NamedTuple):
+    """A new landmark and its matches: they go in with the next pose, since an update costs the same for more."""
+
+    name: str
+    T_world_target: Floats
+    matches: Sequence[tuple[Match, Floats, Summary]]
+
+
 class IncrementalGraph:
     """Poses by number and landmarks by name; whatever makes GTSAM raise is taken out again.
 
-    The newest pose enters the smoother together with its matches, in one update; it can be asked for before.
+    The newest pose enters the smoother together with its matches and what landmarks are new, in one update; all can be
+    asked for before.
 
     Attributes:
         landmarks: what is known of each, by name.
@@ -94,6 +107,7 @@ class IncrementalGraph:
     def __init__(self, lag: float | None) -> None:
         self.landmarks: dict[str, Known] = {}
         self._pending: _Pending | None = None
+        self._waiting: dict[str, _Waiting] = {}
         self._odometry: list[Odometry] = []
         self._smoother = Smoother(lag)
         self._places = Places()
@@ -114,6 +128,7 @@ class IncrementalGraph:
     @property
     def matches(self) -> tuple[Match, ...]:
         """All matches that are in force."""
+        self._flush()
         return tuple(held.match for held in self._held)
 
     @property
@@ -137,6 +152,8 @@ class IncrementalGraph:
 
     def T_world_target(self, name: str) -> Floats:
         """Return the estimate (4, 4) of a landmark."""
+        if name in self._waiting:
+            return self._waiting[name].T_world_target
         return self._smoother.pose(self.landmarks[name].key)
 
     def near(self, sighting: Sighting, T_world_lidar: Floats) -> dict[str, Floats]:
@@ -158,7 +175,7 @@ class IncrementalGraph:
 
     def _up_to_date(self, asked: Callable[[], list[str]]) -> dict[str, Floats]:
         """Ask the array of places for landmarks, again if it was not up to date."""
-        if self._smoother.worked - self._looked > len(self._places):  # looking costs no more than what it did
+        if self._smoother.worked - self._looked > MOVED * len(self._places):
             self._put_all()
         found = {name: self.T_world_target(name) for name in asked()}
         if self._places.put(found) > SLACK:
@@ -182,6 +199,8 @@ class IncrementalGraph:
         for pose in poses:
             if pose not in self:
                 raise InputError(f"pose {pose} is not in the graph")
+        if not self._waiting.keys().isdisjoint(landmarks):
+            self._flush()
         keys = [self.landmarks[name].key for name in landmarks]
         pending = self._pending
         # X' = X D moves by Ad(D^-1) xi + the error of D; a pose may be asked for twice.
@@ -283,14 +302,16 @@ class IncrementalGraph:
 
     def begin(self, pose: int, stamp: float, odometry: Odometry) -> None:
         """Begin a pose, its number following the one before, where odometry has it; stamp in seconds."""
-        self._flush()
+        if self._pending is not None:
+            self._flush()
         T_world_lidar = self.T_world_lidar(odometry.i) @ odometry.T_i_j
         self._pending = _Pending(pose, stamp, T_world_lidar, odometry)
         self._places.move(odometry)
 
     def begin_at(self, pose: int, stamp: float, T_world_lidar: Floats) -> None:
         """Begin a pose at (4, 4) that only its matches will link; stamp in seconds."""
-        self._flush()
+        if self._pending is not None:
+            self._flush()
         self._pending = _Pending(pose, stamp, T_world_lidar, None)
         self._places.jump(pose)
 
@@ -305,6 +326,7 @@ class IncrementalGraph:
         try:
             self._update(matches)
         except EstimationError:
+            self._add_waiting()
             if self._pending is not None and self._pending.odometry is None:
                 self._pending = None
             self._flush()
@@ -312,22 +334,25 @@ class IncrementalGraph:
         return True
 
     def _flush(self) -> None:
-        """Put the newest pose into the smoother, if it is not there yet."""
-        if self._pending is not None and self._pending.odometry is not None:
+        """Put the newest pose, and new landmarks, into the smoother, if they are not there yet."""
+        if self._waiting or (self._pending is not None and self._pending.odometry is not None):
             self._update([])
 
     def _update(self, matches: Sequence[tuple[Match, Floats, Summary]]) -> None:
-        """Put the newest pose, its odometry and matches into the smoother.
+        """Put the newest pose, its odometry and matches, and new landmarks into the smoother.
 
         Raises:
             EstimationError: the graph does not bear them; nothing has changed then.
         """
-        pending = self._pending
-        if pending is None and not matches:
+        pending, new = self._pending, list(self._waiting.values())
+        if pending is None and not matches and not new:
             return
-        factors = self._factors([match for match, _, _ in matches], [summary for _, _, summary in matches])
-        finite = all(summary.is_finite for _, _, summary in matches)
+        links = [*matches, *(link for landmark in new for link in landmark.matches)]
+        factors = self._factors([match for match, _, _ in links], [summary for _, _, summary in links])
+        finite = all(summary.is_finite for _, _, summary in links)
         values, stamps = gtsam.Values(), {}
+        for landmark in new:
+            values.insert(self.landmarks[landmark.name].key, gtsam.Pose3(landmark.T_world_target))
         if pending is not None:
             values.insert(X(pending.pose), gtsam.Pose3(pending.T_world_lidar))
             stamps[X(pending.pose)] = pending.stamp
@@ -337,37 +362,52 @@ class IncrementalGraph:
                 factors.append(gtsam.BetweenFactorPose3(i, j, motion, noise))
         handles = self._smoother.update(factors, values, stamps=stamps, finite=finite)
         self._pending = None
+        self._waiting.clear()
         if pending is not None and pending.odometry is not None:
             self._odometry.append(pending.odometry)
-        for (match, T, _), handle in zip(matches, handles, strict=False):
+        for (match, T, _), handle in zip(links, handles, strict=False):
             self._held.append(_Held(match, T, handle))
+        for match, _, summary in matches:
             self.landmarks[match.landmark].observations += 1
-        self._see([match for match, _, _ in matches], [summary for _, _, summary in matches])
+            self._places.see(match.landmark, match.pose, summary)
         if self.lag is not None:
             self._held = [held for held in self._held if held.match.pose in self]
             self._odometry.clear()
 
     def add_landmark(self, name: str, target: Target, T_world_target: Floats, matches: Sequence[Match]) -> bool:
-        """Add a landmark at T_world_target (4, 4) with its matches; say whether the graph bears it."""
-        self._flush()
+        """Add a landmark at T_world_target (4, 4) with its matches; say whether they determine it."""
         entry = self._begin(name, target)
-        T_target_lidar = [inverse(T_world_target) @ self.T_world_lidar(match.pose) for match in matches]
+        H = np.array([inverse(T_world_target) @ self.T_world_lidar(match.pose) for match in matches])
+        summaries = summarise([match.measurement for match in matches], H)
         values = gtsam.Values()
         values.insert(entry.key, gtsam.Pose3(T_world_target))
-        summaries = summarise([match.measurement for match in matches], np.stack(T_target_lidar))
         try:
-            handles = self._smoother.update(self._factors(matches, summaries), values)
+            self._smoother.check(self._factors(matches, summaries), values)
         except EstimationError:
             del self.landmarks[name]
             return False
         entry.observations = len(matches)
+        self._waiting[name] = _Waiting(name, T_world_target, list(zip(matches, H, summaries, strict=True)))
         self._places.add(name, target.name, T_world_target[:3, 3])
-        self._see(matches, summaries)
-        self._held += [_Held(m, T, handle) for m, T, handle in zip(matches, T_target_lidar, handles, strict=True)]
+        for match, summary in zip(matches, summaries, strict=True):
+            self._places.see(name, match.pose, summary)
         return True
+
+    def _add_waiting(self) -> None:
+        """Put new landmarks into the smoother, without the newest pose; those that the graph does not bear are gone."""
+        pending, self._pending = self._pending, None
+        try:
+            self._update([])
+        except EstimationError:
+            for name in self._waiting:
+                del self.landmarks[name]
+                self._places.remove(name)
+            self._waiting.clear()
+        self._pending = pending
 
     def remove_landmark(self, name: str) -> None:
         """Take a landmark out of the graph with all its matches."""
+        self._flush()
         gone = [held for held in self._held if held.match.landmark == name]
         self._held = [held for held in self._held if held.match.landmark != name]
         self._smoother.update([], gtsam.Values(), [held.handle for held in gone])
@@ -390,13 +430,13 @@ class IncrementalGraph:
                 self._resummarise([self._held[k] for k in {*range(max(0, n - CHECKED_NEW), n), *in_turn}])
 
     def settle(self) -> None:
-        """Make stale summaries again until there are none, and linearise everything where it is."""
+        """Linearise everything where it is, and make stale summaries again, until there are none."""
         self._flush()
         with suppress(EstimationError):  # the graph does not bear it: it stays as it is
             for _ in range(SETTLING):
+                self._smoother.relinearise()
                 if not (self._held and self._resummarise(self._held)):
                     break
-            self._smoother.update([], gtsam.Values(), force=True)
 
     def _resummarise(self, held: Sequence[_Held]) -> int:
         """Make those summaries again whose target has turned since; return how many."""
@@ -406,8 +446,7 @@ class IncrementalGraph:
             again = [held[int(k)] for k in stale]
             summaries = summarise([h.match.measurement for h in again], now[stale])
             factors = self._factors([h.match for h in again], summaries)
-            everything = len(held) == len(self._held)
-            handles = self._smoother.update(factors, gtsam.Values(), [h.handle for h in again], force=everything)
+            handles = self._smoother.update(factors, gtsam.Values(), [h.handle for h in again])
             for h, T, handle in zip(again, now[stale], handles, strict=True):
                 h.T_target_lidar, h.handle = T, handle
         return len(stale)
@@ -417,12 +456,6 @@ class IncrementalGraph:
             summary.factor(self.landmarks[match.landmark].key, X(match.pose), self._loss)
             for match, summary in zip(matches, summaries, strict=True)
         ]
-
-    def _see(self, matches: Sequence[Match], summaries: Sequence[Summary]) -> None:
-        if matches:
-            H, root = ([getattr(s, name) for s in summaries] for name in ("T_target_lidar", "sqrt_information"))
-            names, poses = [match.landmark for match in matches], [match.pose for match in matches]
-            self._places.see(names, poses, np.array(H), np.array(root))
 
     def _begin(self, name: str, target: Target) -> Known:
         entry = self.landmarks[name] = Known(L(self._made), target)

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
+from optshape_graph.factors import Summary
 from optshape_graph.mapping.association import gate
 from optshape_graph.mapping.track import Odometry, Sighting
 from optshape_graph.se3 import inverse, skew
@@ -38,6 +39,7 @@ class Places:
         self._surveyed = np.zeros((0, 2))  # variances of the prior, rotation and place; not a number: there is none
         self._gone = [np.zeros(3)]
         self._jumped = 0
+        self._seen: dict[str, tuple[int, Summary]] = {}  # whose marks are not set yet
 
     def __len__(self) -> int:
         return len(self._number)
@@ -68,7 +70,7 @@ class Places:
 
     def start(self, covariance: Floats) -> None:
         """Note the covariance (6, 6) of the first pose in the world, in which surveyed landmarks are."""
-        self._see_surveyed(*_variances(covariance), 0.0)
+        self._see_surveyed(0, *_variances(covariance), 0.0)
 
     def move(self, odometry: Odometry) -> None:
         """Add what odometry may have drifted by to a new pose."""
@@ -81,28 +83,29 @@ class Places:
         self._mark[:] = _UNKNOWN
         self._jumped = pose
 
-    def see(self, names: Sequence[str], poses: Sequence[int], T_target_lidar: Floats, sqrt_information: Floats) -> None:
-        """Note that landmarks were seen.
+    def see(self, name: str, pose: int, summary: Summary) -> None:
+        """Note that a landmark was seen from a pose, by its number from 0."""
+        self._seen.pop(name, None)
+        self._seen[name] = pose, summary
 
-        Args:
-            names: (m,) of the landmarks.
-            poses: (m,) numbers of the poses, from 0.
-            T_target_lidar: (m, 4, 4) measured, and
-            sqrt_information: (m, 6, 6) of its right perturbation.
-        """
-        for name, pose, rotation, place, distance in zip(
-            names, poses, *_of_sightings(T_target_lidar, sqrt_information), strict=True
-        ):
+    def _mark_seen(self) -> None:
+        """Set the marks of what was seen since."""
+        if not self._seen:
+            return
+        poses, summaries = zip(*self._seen.values(), strict=True)
+        for name, pose, rotation, place, distance in zip(self._seen, poses, *_variances_of(summaries), strict=True):
+            if name not in self._number or pose < self._jumped:
+                continue
             number = self._number[name]
             prior = self._surveyed[number]
-            if not np.isnan(prior[0]) and pose == len(self._gone) - 1:  # it tells where the others are, too
-                self._see_surveyed(prior[0] + rotation, prior[1] + place, distance)
-            if pose >= self._jumped:
-                self._mark[number] = self._gone[pose] - [0.0, place, 0.0]
+            if not np.isnan(prior[0]):  # it tells where the others are, too
+                self._see_surveyed(pose, prior[0] + rotation, prior[1] + place, distance)
+            self._mark[number] = self._gone[pose] - [0.0, place, 0.0]
+        self._seen.clear()
 
-    def _see_surveyed(self, rotation: float, place: float, distance: float) -> None:
+    def _see_surveyed(self, pose: int, rotation: float, place: float, distance: float) -> None:
         rows = ~np.isnan(self._surveyed[:, 0])
-        self._mark[rows] = self._gone[-1] - [rotation, place, distance]
+        self._mark[rows] = self._gone[pose] - [rotation, place, distance]
         self._mark[rows, 1] -= self._surveyed[rows, 1]
 
     def put(self, T_world_target: Mapping[str, Floats]) -> float:
@@ -122,10 +125,9 @@ class Places:
             sighting: from the newest pose.
             T_world_lidar: (4, 4) newest pose.
         """
-        H = np.array([summary.T_target_lidar for summary in sighting.summaries])
-        root = np.array([summary.sqrt_information for summary in sighting.summaries])
-        seen = (T_world_lidar @ inverse(H))[:, :3, 3]
-        _, variance, distance = _of_sightings(H, root)
+        self._mark_seen()
+        _, variance, distance = _variances_of(sighting.summaries)
+        seen = (T_world_lidar @ inverse(np.array([s.T_target_lidar for s in sighting.summaries])))[:, :3, 3]
         gone = self._gone[-1] - self._mark
         lever = gone[:, 2] + distance.max()
         reach = np.sqrt(gate(6) * (gone[:, 1] + gone[:, 0] * lever**2 + variance.max())) + SLACK
@@ -163,14 +165,14 @@ def _variances(covariance: Floats) -> tuple[float, float]:
     return float(covariance[:3, :3].trace()), float(covariance[3:, 3:].trace())
 
 
-def _of_sightings(T_target_lidar: Floats, sqrt_information: Floats) -> tuple[Floats, Floats, Floats]:
+def _variances_of(summaries: Sequence[Summary]) -> tuple[Floats, Floats, Floats]:
     """Variances (m,) of measured rotations, rad2, and of the targets' places, m2; and distances (m,), metres.
 
     The place p of the target, in the LiDAR's frame, moves by [p]x w - v with a right perturbation (w, v) of
     T_target_lidar.
     """
-    place = inverse(T_target_lidar)[:, :3, 3]
-    root = np.linalg.inv(sqrt_information + UNMEASURED * np.eye(6))
+    place = inverse(np.array([summary.T_target_lidar for summary in summaries]))[:, :3, 3]
+    root = np.linalg.inv(np.array([summary.sqrt_information for summary in summaries]) + UNMEASURED * np.eye(6))
     moved = skew(place) @ root[:, :3] - root[:, 3:]
     rotation = np.square(root[:, :3]).sum(axis=(1, 2))
     return rotation, np.square(moved).sum(axis=(1, 2)), np.asarray(np.linalg.norm(place, axis=1))
