@@ -9,6 +9,8 @@ and Programs for Mathematical Functions, 1989).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -77,22 +79,27 @@ def _erf(t: Floats) -> Floats:
 
 def _scaled_tail(t: Floats) -> Floats:
     """Return exp(t^2) erfc(t) for t from 1 on; below, anything finite."""
-    near = _ratio(_NEAR, np.clip(t, 1.0, _FAR_FROM))
-    if not (t > _FAR_FROM).any():
-        return near
-    reached = np.clip(t, _FAR_FROM, 1e30)
-    return np.where(t > _FAR_FROM, _ratio(_FAR, 1.0 / reached, flipped=True) / reached, near)
+    tail, far = _ratio(_NEAR, np.clip(t, 1.0, _FAR_FROM)), t > _FAR_FROM
+    if far.any():
+        reached = np.minimum(t[far], 1e30)
+        tail[far] = _ratio(_FAR, 1.0 / reached, flipped=True) / reached
+    return tail
 
 
 def _ratio(of: tuple[list[float], list[float]], x: Floats, flipped: bool = False) -> Floats:
     """Return a ratio of polynomials; flipped: in 1 / x, where its powers would overflow, times x."""
     top, bottom = (part[::-1] if flipped else part for part in of)
-    p, q = np.full_like(x, top[0]), np.full_like(x, bottom[0])
-    for c in top[1:]:
-        p = p * x + c
-    for c in bottom[1:]:
-        q = q * x + c
-    return np.asarray(p / q)
+    return np.asarray(_polynomial(top, x) / _polynomial(bottom, x))
+
+
+def _polynomial(coefficients: list[float], x: Floats) -> Floats:
+    """Return a polynomial at x (...), the highest power first, by Horner's rule in place."""
+    value = x * coefficients[0]
+    value += coefficients[1]
+    for c in coefficients[2:]:
+        value *= x
+        value += c
+    return value
 
 
 def chi_square_tail(square: float, freedom: float) -> float:
@@ -103,7 +110,7 @@ def chi_square_tail(square: float, freedom: float) -> float:
     if freedom <= 0:
         return 1.0
     spread = 2.0 / (9.0 * freedom)
-    return float(ndtr(-((max(square, 0.0) / freedom) ** (1 / 3) - (1.0 - spread)) / np.sqrt(spread)))
+    return _tail(((max(square, 0.0) / freedom) ** (1 / 3) - (1.0 - spread)) / math.sqrt(spread))
 
 
 def f_tail(ratio: float, k: float, freedom: float) -> float:
@@ -115,8 +122,12 @@ def f_tail(ratio: float, k: float, freedom: float) -> float:
     if freedom < 3:
         return 1.0
     root, above, below = max(ratio, 0.0) ** (1 / 3), 2.0 / (9.0 * k), 2.0 / (9.0 * freedom)
-    z = ((1.0 - below) * root - (1.0 - above)) / np.sqrt(below * root**2 + above)
-    return float(ndtr(-z))
+    return _tail(((1.0 - below) * root - (1.0 - above)) / math.sqrt(below * root**2 + above))
+
+
+def _tail(z: float) -> float:
+    """Return the probability that a standard normal variable exceeds z."""
+    return 0.5 * math.erfc(z * math.sqrt(0.5))
 
 
 def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats, Floats]:
@@ -135,7 +146,7 @@ def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floa
     a, b = (lower - mean) / sd, (upper - mean) / sd
     right = a > 0  # mirror, so that the interval is never in the upper tail
     a, b = np.where(right, -b, a), np.where(right, -a, b)
-    log_a, log_b = log_ndtr(a), log_ndtr(b)
+    log_a, log_b = log_ndtr(np.stack([a, b]))
     width = b - a
     with np.errstate(all="ignore"):
         log_mass = log_b + np.log1p(-np.exp(log_a - log_b))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Ints
 from optshape_graph.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,44 +47,99 @@ def triangular(stack: Floats) -> Floats:
     return R if len(R) == n else np.vstack([R, np.zeros((n - len(R), n))])
 
 
-MANY_COLUMNS = 24
-"""From so many columns on it pays to look for parts of a stack that share none."""
-
-
-def triangular_by_parts(stack: Floats, k: int) -> Floats:
-    """Return what `triangular` returns, up to signs of rows, of a stack whose first k columns are mostly zeros.
-
-    Columns that no row has together are of different parts, such as the errors of different rings: each part is
-    reduced by itself, and what is left of all parts together. So the work grows with the rows, not with the square of k
-    times the rows (block-angular least squares; Golub and Plemmons, Linear Algebra Appl. 1980).
+def compressed(stack: Floats, group: Ints) -> tuple[Floats, Ints]:
+    """Return fewer rows of the same quadratic form where many are of one group, and the groups that they are of.
 
     Args:
         stack: (m, n) rows.
-        k: number of columns that may be split.
+        group: (m, j) what tells the groups apart; rows of equal ones are reduced to n, all groups at once.
     """
+    m, n = stack.shape
+    if m * n * group.max(initial=0) <= FEW:
+        return stack, group
+    key = np.unique(_key(group), return_inverse=True)[1]
+    height = np.bincount(key)
+    order = np.argsort(key, kind="stable")
+    start = np.cumsum(height) - height
+    tall = np.flatnonzero(height > n)
+    rank = np.arange(height.max())
+    row = order[np.minimum(start[tall, None] + rank, len(order) - 1)]
+    R = factored(np.where((rank < height[tall, None])[..., None], stack[row], 0.0))
+    kept = height[key] <= n
+    groups = np.repeat(group[order[start[tall]]], n, axis=0)
+    return np.vstack([stack[kept], R.reshape(-1, n)]), np.vstack([group[kept], groups])
+
+
+def _key(group: Ints) -> Ints:
+    """(m,) a number for each row (m, j) of small numbers that is the same where rows are."""
+    lowest = group.min(axis=0)
+    extent = group.max(axis=0) - lowest + 1
+    if np.log2(extent).sum() > 62:
+        return np.asarray(np.unique(group, axis=0, return_inverse=True)[1].reshape(-1))
+    return np.asarray((group - lowest) @ np.cumprod([1, *extent[:-1]]))
+
+
+FEW = 1e6
+"""Rows times columns times groups of a stack from which on it pays to reduce groups first."""
+
+LARGE = 3e6
+"""Rows times columns squared of a stack from which on it pays to look for parts that share no columns."""
+
+COMMON = 4
+"""A column that so many times as many rows have as the median column is no part's own."""
+
+
+def triangular_by_parts(stack: Floats, k: int) -> Floats:
+    """Return rows (n, n) of the same form as a stack whose first k columns are mostly zeros; `triangular` from k on.
+
+    Columns that no row has together are of different parts, such as the errors of different rings; those that most
+    rows have, such as errors that all rings share, are of none. Each part is reduced by itself, and what is left of all
+    parts together. So the work grows with the rows, not with the square of k times the rows (block-angular least
+    squares; Golub and Plemmons, Linear Algebra Appl. 1980).
+
+    Args:
+        stack: (m, n) rows.
+        k: number of columns that may be split: the last n - k rows are zero there.
+    """
+    m, n = stack.shape
+    return _by_parts(stack, k) if k and m * n**2 > LARGE else triangular(stack)
+
+
+def _by_parts(stack: Floats, k: int) -> Floats:
     n = stack.shape[1]
-    if k < MANY_COLUMNS:
-        return triangular(stack)
     part_of_row, part_of_column = _parts(stack[:, :k])
-    reduced, left = np.zeros((n, n)), [stack[part_of_row < 0, k:]]
-    order = np.argsort(part_of_row, kind="stable")
-    rows_of = np.split(order, np.searchsorted(part_of_row[order], np.arange(part_of_column.max() + 2)))
-    for part, rows in enumerate(rows_of[1:-1]):
-        columns = np.flatnonzero(part_of_column == part)
-        if not len(rows):
-            continue
-        places = np.append(columns, np.arange(k, n))
-        R = triangular(stack[np.ix_(rows, places)])
-        reduced[np.ix_(columns, places)] = R[: len(columns)]
-        left.append(R[len(columns) :, len(columns) :])
-    reduced[k:, k:] = triangular(np.vstack(left))
-    return reduced
+    common = np.concatenate([np.flatnonzero(part_of_column < 0), np.arange(k, n)])
+    common = common[stack[:, common].any(axis=0) | (common == n - 1)]
+    own = np.argsort(part_of_column, kind="stable")[np.count_nonzero(part_of_column < 0) :]
+    rows = np.argsort(part_of_row, kind="stable")[np.count_nonzero(part_of_row < 0) :]
+    width = np.bincount(part_of_column[own])
+    height = np.bincount(part_of_row[rows], minlength=len(width))
+    first_column, first_row = np.cumsum(width) - width, np.cumsum(height) - height
+    whole, left = np.zeros((n, n)), [stack[part_of_row < 0][:, common]]
+    for w in np.unique(width[height > 0]).tolist():  # parts of as many columns at once
+        parts = np.flatnonzero((width == w) & (height > 0))
+        columns = own[first_column[parts, None] + np.arange(w)]
+        places = np.concatenate([columns, np.broadcast_to(common, (len(parts), len(common)))], axis=1)
+        rank = np.arange(max(height[parts].max(), w))
+        there = rank < height[parts, None]
+        row = rows[np.where(there, first_row[parts, None] + rank, 0)]
+        R = factored(np.where(there[..., None], stack[row[..., None], places[:, None]], 0.0))
+        whole[columns[..., None], places[:, None]] = R[:, :w]
+        left.extend(R[:, w:, w:])
+    whole[np.ix_(common, common)] = triangular(np.vstack(left))
+    return whole
 
 
 def _parts(columns: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The part of each row (m,), -1 where columns (m, k) are all zero, and of each column (k,), counted from 0."""
+    """The part of each row (m,) and of each column (k,), counted from 0; -1: of none.
+
+    Rows are of none where columns (m, k) are all zero, columns where most rows have them.
+    """
     m, k = columns.shape
-    row, column = np.divmod(np.flatnonzero(columns), k)
+    there = columns != 0
+    count = np.count_nonzero(there, axis=0)
+    own = count <= COMMON * np.median(count[count > 0]) if count.any() else count > 0
+    row, column = np.divmod(np.flatnonzero(there & own), k)
     label = np.arange(k)
     while True:  # the smallest label goes from column to row to column
         of_row, spread = np.full(m, k), label.copy()
@@ -93,8 +148,8 @@ def _parts(columns: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         if (spread == label).all():
             break
         label = spread
-    _, part = np.unique(label, return_inverse=True)
-    return np.where(of_row < k, part[np.minimum(of_row, k - 1)], -1), part
+    part = np.cumsum(np.bincount(label[own], minlength=k + 1) > 0) - 1  # of each label that is in use
+    return np.where(of_row < k, part[of_row], -1), np.where(own, part[label], -1)
 
 
 def root(covariance: ArrayLike) -> Floats:

@@ -24,6 +24,10 @@ from optshape_graph.factors._rows import checked, in_plane, marginalised, outer_
 from optshape_graph.se3 import PoseLike, as_matrix, as_transform, exp, inverse, vec, vec_derivative
 
 
+FIRST_ROW = [0, 3, 6, 9]
+"""Places of the first row of [R t] in z = [vec R; t]: all that a point on the plane x = 0 is linear in."""
+
+
 def edge_rows(points: ArrayLike, normals: ArrayLike, offsets: ArrayLike) -> tuple[Floats, Floats]:
     """Return the rows A z + r of points on template edges, n_k . (R p + t) - c_k, metres, unweighted.
 
@@ -84,8 +88,7 @@ def plane_rows(points: ArrayLike) -> tuple[Floats, Floats]:
     """
     p = checked("points", points, (-1, 3))
     A = np.zeros((len(p), 12))
-    A[:, [0, 3, 6]] = p
-    A[:, 9] = 1.0
+    A[:, FIRST_ROW] = np.column_stack([p, np.ones(len(p))])
     return A, np.zeros(len(p))
 
 

@@ -9,14 +9,16 @@ import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.edges import leftward, upward
-from optshape_graph.factors.measurement import template_rows
+from optshape_graph.factors._rows import compressed
+from optshape_graph.factors.measurement import FIRST_ROW
 from optshape_graph.factors.static import (
     BRIGHTNESS,
     COMMON_RANGE,
     RANGE_BIAS,
     BiasedMeasurement,
     SharedError,
-    angle_errors,
+    angle_entries,
+    spread,
 )
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
@@ -35,8 +37,9 @@ class PlaneReturns(Value):
         points: (N, 3) p, metres, LiDAR frame.
         offset: (N,) c, metres.
         sigma: (N,) standard deviation of each residual, metres.
-        errors: (K,) what the returns share: the range bias of each ring that hit the target.
-        bias: (N, K) how far a standard deviation of each moves each residual, in units of `sigma`.
+        errors: (K,) what the returns share, such as the range bias of each ring that hit the target.
+        moved: (N, J) how far a standard deviation of each of the errors that move a residual does, in units of `sigma`.
+        which: (N, J) which of the errors these are.
         coupling: (N, 3) covariance of each residual with its p, square metres: an azimuth error moves both.
     """
 
@@ -44,13 +47,30 @@ class PlaneReturns(Value):
     offset: Floats
     sigma: Floats
     errors: tuple[SharedError, ...]
-    bias: Floats
+    moved: Floats
+    which: Ints
     coupling: Floats
 
     def select(self, mask: Bools) -> PlaneReturns:
         """Return some of them, of a mask (N,)."""
-        rows = {name: getattr(self, name)[mask] for name in ("points", "offset", "sigma", "bias", "coupling")}
-        return replace(self, **rows)
+        names = ("points", "offset", "sigma", "moved", "which", "coupling")
+        return replace(self, **{name: getattr(self, name)[mask] for name in names})
+
+    def sharing(self, errors: Sequence[SharedError], moved: Floats, which: Ints | None = None) -> PlaneReturns:
+        """Return them with further errors that they share.
+
+        Args:
+            errors: (L,) what they are.
+            moved: (N, I) how far a standard deviation of those that move a residual does, in units of `sigma`.
+            which: (N, I) which of the errors these are; None: all move every residual, in their order.
+        """
+        which = np.broadcast_to(np.arange(len(errors)), moved.shape) if which is None else which
+        return replace(
+            self,
+            errors=(*self.errors, *errors),
+            moved=np.hstack([self.moved, moved]),
+            which=np.hstack([self.which, len(self.errors) + which]),
+        )
 
     def with_angles(self, normal: Floats, ring: Ints, sensor: SensorModel | None) -> PlaneReturns:
         """Return them with errors of each ring's elevation and azimuth, and of all ranges together.
@@ -60,14 +80,18 @@ class PlaneReturns(Value):
             ring: (N,) of each return.
             sensor: says how large they are.
         """
-        columns, errors = angle_errors(
+        moved, which, errors = angle_entries(
             upward(self.points) @ normal / self.sigma, leftward(self.points) @ normal / self.sigma, ring, sensor
         )
-        if sensor is not None and sensor.common_range_sd > 0:
-            cosine = np.abs(self.points @ normal) / np.linalg.norm(self.points, axis=1)
-            columns = np.column_stack([columns, sensor.common_range_sd * cosine / self.sigma])
-            errors = (*errors, SharedError(COMMON_RANGE))
-        return replace(self, errors=(*self.errors, *errors), bias=np.hstack([self.bias, columns]))
+        found = self.sharing(errors, moved, which)
+        if sensor is None or sensor.common_range_sd == 0:
+            return found
+        return found.sharing([SharedError(COMMON_RANGE)], self._by_ranges(normal, sensor.common_range_sd))
+
+    def _by_ranges(self, normal: Floats, sigma: float) -> Floats:
+        """(N, 1) how far an error of all ranges, of a standard deviation in metres, moves each residual."""
+        cosine = np.abs(self.points @ normal) / np.linalg.norm(self.points, axis=1)
+        return np.asarray(sigma * cosine / self.sigma)[:, None]
 
     def with_brightness(self, normal: Floats, sigma: float) -> PlaneReturns:
         """Return them with a range bias that all share, of a standard deviation in metres.
@@ -76,9 +100,7 @@ class PlaneReturns(Value):
             normal: (3,) unit normal of the plane, LiDAR frame.
             sigma: metres.
         """
-        moved = sigma * np.abs(self.points @ normal) / np.linalg.norm(self.points, axis=1) / self.sigma
-        errors = (*self.errors, SharedError(BRIGHTNESS))
-        return replace(self, errors=errors, bias=np.column_stack([self.bias, moved]))
+        return self.sharing([SharedError(BRIGHTNESS)], self._by_ranges(normal, sigma))
 
     def with_bands(self, points: Floats, counts: Sequence[int]) -> PlaneReturns:
         """Return them with range biases at several scales.
@@ -93,18 +115,17 @@ class PlaneReturns(Value):
         """
         elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
         lowest, extent = float(elevation.min()), max(float(np.ptp(elevation)), 1e-9)
-        columns, errors = [self.bias], [*self.errors]
+        found = self
         for count in counts:
-            band = elevation_bands(points, count)
-            found = np.unique(band)
-            columns.append(self.bias * (band[:, None] == found) / np.sqrt(len(counts)))
-            limits = lowest + extent * np.column_stack([found, found + 1]) / count
-            errors += [SharedError(RANGE_BIAS, band=(low, high)) for low, high in limits.tolist()]
-        return replace(self, bias=np.hstack(columns), errors=tuple(errors))
+            bands, which = np.unique(elevation_bands(points, count), return_inverse=True)
+            limits = lowest + extent * np.column_stack([bands, bands + 1]) / count
+            errors = [SharedError(RANGE_BIAS, band=(low, high)) for low, high in limits.tolist()]
+            found = found.sharing(errors, self.moved / np.sqrt(len(counts)), which[:, None])
+        return found
 
     def widened(self, noise: float, bias: float) -> PlaneReturns:
         """Return them with noise and biases that are so many times as large."""
-        return replace(self, sigma=noise * self.sigma, bias=bias / noise * self.bias)
+        return replace(self, sigma=noise * self.sigma, moved=bias / noise * self.moved)
 
 
 def elevation_bands(points: Floats, count: int) -> Ints:
@@ -139,12 +160,12 @@ def returns_on_plane(
     sideways = turning @ normal  # off the plane, metres per radian of azimuth
     sigma = np.sqrt((range_noise * cosine) ** 2 + (azimuth_noise * sideways) ** 2 + flatness**2)
     rings, column = np.unique(np.zeros(len(points), int) if scan.ring is None else scan.ring, return_inverse=True)
-    bias = np.zeros((len(points), len(rings)))
-    bias[np.arange(len(points)), column] = ring_bias * cosine / sigma
+    moved = (ring_bias * cosine / sigma)[:, None]
     errors = tuple(SharedError(RANGE_BIAS, ring=None if scan.ring is None else int(ring)) for ring in rings)
     in_plane = turning - points * (sideways / along)[:, None]
     coupling = azimuth_noise**2 * sideways[:, None] * in_plane
-    return PlaneReturns(points * (distance / along)[:, None], distance - along, sigma, errors, bias, coupling)
+    projected = points * (distance / along)[:, None]
+    return PlaneReturns(projected, distance - along, sigma, errors, moved, column[:, None], coupling)
 
 
 def plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
@@ -153,10 +174,14 @@ def plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
     Where a residual and its row's coefficients err together, the gradient has a mean at the true pose, the sum of their
     covariances; the constants take it out.
     """
-    normals = np.broadcast_to([1.0, 0.0, 0.0], returns.points.shape)
-    A, r = template_rows(returns.points, normals, returns.offset)
-    A, r = A / returns.sigma[:, None], r / returns.sigma
-    mean, _ = template_rows(returns.coupling, normals, returns.offset)
-    mean[:, 9:] = 0.0
-    r = r - A @ np.linalg.lstsq(A.T @ A, (mean / returns.sigma[:, None] ** 2).sum(axis=0), rcond=1e-12)[0]
-    return BiasedMeasurement.from_rows(A, returns.bias, r, np.eye(4), returns.errors)
+    sigma, k = returns.sigma[:, None], returns.which.shape[1]
+    A = np.column_stack([returns.points / sigma, 1 / sigma])  # linear in the first row of [R t]
+    mean = np.append((returns.coupling / sigma**2).sum(axis=0), 0.0)
+    r = -returns.offset / returns.sigma - A @ np.linalg.lstsq(A.T @ A, mean, rcond=1e-12)[0]
+    rows, which = compressed(np.column_stack([returns.moved, A, r]), returns.which)
+    pose = np.zeros((len(rows), 12))
+    pose[:, FIRST_ROW] = rows[:, k:-1]
+    columns = spread(rows[:, :k], which, len(returns.errors))
+    return BiasedMeasurement.from_rows(
+        pose, columns, rows[:, -1], np.eye(4), returns.errors, n_rows=len(returns.points)
+    )

@@ -149,6 +149,7 @@ class BiasedMeasurement(Value):
         r: ArrayLike,
         T_target_lidar: ArrayLike,
         shared: Sequence[SharedError] | None = None,
+        n_rows: int | None = None,
     ) -> BiasedMeasurement:
         """Compress rows A z + B beta + r, whitened by what does *not* persist from scan to scan.
 
@@ -158,6 +159,7 @@ class BiasedMeasurement(Value):
             r: (m,) constants, whitened as A is.
             T_target_lidar: (4, 4) pose of linearisation.
             shared: (k,) the shared errors; None: the range bias of ring 0, of ring 1, ..., a column for every ring.
+            n_rows: number of residuals that the rows were made of; None: m.
 
         Raises:
             InputError: shapes that do not fit, values that are not finite, or an error twice.
@@ -166,9 +168,8 @@ class BiasedMeasurement(Value):
         columns = checked("bias columns", B, (len(rows), -1))
         stack = np.column_stack([columns, rows, checked("constants", r, (len(rows),))])
         errors = [SharedError(RANGE_BIAS, ring=i) for i in range(columns.shape[1])] if shared is None else shared
-        return cls(
-            triangular_by_parts(stack, columns.shape[1]), len(rows), np.asarray(T_target_lidar, float), tuple(errors)
-        )
+        m = len(rows) if n_rows is None else n_rows
+        return cls(triangular_by_parts(stack, columns.shape[1]), m, np.asarray(T_target_lidar, float), tuple(errors))
 
     def __add__(self, other: BiasedMeasurement) -> BiasedMeasurement:
         """Return the measurement of both scans: the same beta, everything else independent.
@@ -280,21 +281,23 @@ class BiasedMeasurement(Value):
         return self.marginal(1.0)
 
 
-def angle_errors(
+def angle_entries(
     by_elevation: Floats, by_azimuth: Floats, ring: Ints, sensor: SensorModel | None
-) -> tuple[Floats, tuple[SharedError, ...]]:
-    """Return what errors of rings' elevations and azimuths do to rows, as columns (N, K), and the errors (K,).
+) -> tuple[Floats, Ints, tuple[SharedError, ...]]:
+    """Return what errors of rings' elevations and azimuths do to rows: those that move each row, and the errors (K,).
 
     Args:
         by_elevation: (N,) how far each row moves with its ring's elevation, in the rows' unit per radian.
         by_azimuth: (N,) the same of its azimuth, in the rows' unit per radian.
         ring: (N,) of each row.
         sensor: says how large the errors are.
+
+    Returns:
+        How far a standard deviation of each moves the row, (N, J); which of the errors they are, (N, J); the errors.
     """
     rings, column = np.unique(ring, return_inverse=True)
-    own = column[:, None] == np.arange(len(rings))
     up, left = angle_sds(sensor, ring)
-    columns = [(up * by_elevation)[:, None] * own, (left * by_azimuth)[:, None] * own]
+    moved, which = [up * by_elevation, left * by_azimuth], [column, len(rings) + column]
     errors = [SharedError(kind, ring=int(k)) for kind in (ELEVATION, AZIMUTH) for k in rings]
     if sensor is not None:
         for kind, sd, by in (
@@ -302,9 +305,25 @@ def angle_errors(
             (COMMON_AZIMUTH, sensor.common_azimuth_sd, by_azimuth),
         ):
             if sd > 0:
-                columns.append(sd * by[:, None])
+                moved.append(sd * by)
+                which.append(np.full(len(ring), len(errors)))
                 errors.append(SharedError(kind))
-    return np.hstack(columns), tuple(errors)
+    return np.column_stack(moved), np.column_stack(which), tuple(errors)
+
+
+def angle_errors(
+    by_elevation: Floats, by_azimuth: Floats, ring: Ints, sensor: SensorModel | None
+) -> tuple[Floats, tuple[SharedError, ...]]:
+    """Return what `angle_entries` does as columns (N, K), a column for each error, and the errors (K,)."""
+    moved, which, errors = angle_entries(by_elevation, by_azimuth, ring, sensor)
+    return spread(moved, which, len(errors)), errors
+
+
+def spread(moved: Floats, which: Ints, k: int) -> Floats:
+    """Return columns (N, k) of entries (N, J) and the columns (N, J) that they belong to; none occurs twice in a row."""
+    columns = np.zeros((len(moved), k))
+    np.put_along_axis(columns, which, moved, axis=1)
+    return columns
 
 
 def fuse_static(measurements: Sequence[BiasedMeasurement], sigma: ArrayLike) -> TemplateMeasurement:

@@ -7,6 +7,7 @@ libE57 for E57) are native code that damaged files crash or hang: 6 of 60 damage
 
 from __future__ import annotations
 
+import importlib
 import os
 import resource
 import subprocess
@@ -25,8 +26,11 @@ from optshape_graph.errors import InputError, missing_extra
 SECONDS = 120
 """Time that reading a file may take."""
 
-BYTES = 8 << 30
-"""Memory that reading a file may take."""
+BYTES = 512 << 20
+"""Memory that reading any file may take beyond what the library takes; a test that damages files holds it."""
+
+TIMES = 20
+"""Memory that reading a file may take, in sizes of the file; five times that for LAZ, whose points are packed."""
 
 ABSENT = 3
 """Exit status where the library cannot be imported."""
@@ -183,15 +187,28 @@ def _read_e57(path: str) -> Arrays:
     return {{"rowindex": "row_index", "columnindex": "column_index"}.get(key, key): arrays[key] for key in arrays}
 
 
+def _limit_memory(form: str, path: str) -> None:
+    """Let this process take what `BYTES` and `TIMES` say, and no more."""
+    importlib.import_module(_LIBRARIES[form][0].partition("[")[0])
+    pages = Path("/proc/self/statm")
+    taken = int(pages.read_text().split()[5]) * resource.getpagesize() if pages.exists() else 1 << 30
+    times = 5 * TIMES if path.lower().endswith(".laz") else TIMES
+    most = taken + max(BYTES, times * os.path.getsize(path))
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+
+
 def main(form: str, path: str, arrays: str) -> int:
     """Read `path`, write `arrays`; return the exit status."""
-    resource.setrlimit(resource.RLIMIT_AS, (BYTES, BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     readers: dict[str, Callable[[str], Arrays]] = {
         "c3d": _read_c3d, "mat": _read_mat, "mesh": _read_mesh, "las": _read_las, "e57": _read_e57,
     }  # fmt: skip
     try:
+        _limit_memory(form, path)
         content = readers[form](path)
+    except MemoryError:
+        print("it needs more memory than a file of its size should", file=sys.stderr)
+        return 1
     except ImportError as error:
         print(error, file=sys.stderr)
         return ABSENT

@@ -17,6 +17,7 @@ from optshape_graph.azimuth_grid import level_rings
 from optshape_graph.factors import ShapeMeasurement, shape_rows
 from optshape_graph.factors._rows import gaussian, marginalised
 from optshape_graph.factors.plane_returns import returns_on_plane
+from optshape_graph.factors.static import spread
 from optshape_graph.graph import Chains, State, add_rows
 from optshape_graph.mapping.batch_solution import Keys
 from optshape_graph.mapping.track import MappingProblem, Sighting
@@ -49,7 +50,8 @@ def shape_measurement(estimate: PoseEstimate, returns: Scan) -> ShapeMeasurement
         shape_rows(boundary, estimate.labels, n) / estimate.edge_sigma[:, None],
         shape_rows(off_plane, np.full(len(returns), n), n) / on_plane.sigma[:, None],
     ])  # fmt: skip
-    biased = np.vstack([np.zeros((len(boundary), on_plane.bias.shape[1])), on_plane.bias])
+    shared = spread(on_plane.moved, on_plane.which, len(on_plane.errors))
+    biased = np.vstack([np.zeros((len(boundary), shared.shape[1])), shared])
     return ShapeMeasurement.from_rows(marginalised(biased, rows), estimate.T_target_lidar)
 
 

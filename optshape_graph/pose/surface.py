@@ -71,7 +71,7 @@ class PlaneResiduals(Value):
         """
         e, yz = -returns.offset, (returns.points - plane.centre) @ plane.axes[1:].T / target.gyration
         noise = float(np.sqrt(np.mean(returns.sigma**2)))
-        bias = max(float(np.mean(returns.bias.sum(axis=1) * returns.sigma)), 1e-6)
+        bias = max(float(np.mean(returns.moved[:, 0] * returns.sigma)), 1e-6)
         _, column, counts = np.unique(ring, return_inverse=True, return_counts=True)
         terms = second_order(yz)
         freedom = max(len(e) - len(counts) - 5, 1)

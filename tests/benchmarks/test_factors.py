@@ -9,8 +9,11 @@ import pytest
 from gtsam.symbol_shorthand import H
 
 from optshape_graph.factors import TemplateFactor, TemplateMeasurement, edge_rows
+from optshape_graph.factors._rows import triangular
+from optshape_graph.factors.plane_returns import plane_measurement
 from optshape_graph.se3 import skew
 from tests.factors.support import TARGET, edge_points, random_pose, retract
+from tests.factors.test_plane_returns import dense_rows, near, with_all_errors
 
 N_POINTS = 2000
 SIGMA = 0.01
@@ -73,3 +76,24 @@ def test_measurement_against_a_callback_for_each_point(capsys):
         print(f"\nmeasurement of {N_POINTS} points against callbacks: {first:.0f} x first, {following:.0f} x next")
     assert first >= 50
     assert following >= 1000
+
+
+@pytest.mark.benchmark
+def test_plane_rows_of_a_near_scan_of_128_rings(capsys):
+    """Against one dense system of a column for each ring's errors; and how the time grows with the returns."""
+
+    def against_dense(count: int) -> tuple[int, float, float]:
+        scan = near("os1-128", 1.2)
+        kept = np.sort(np.random.default_rng(0).permutation(len(scan))[:count])
+        scan = scan.select(kept)
+        returns = with_all_errors(scan)
+        best = best_of(lambda: plane_measurement(returns), 7)
+        return len(scan), best, best_of(lambda: triangular(dense_rows(returns)), 3)
+
+    (few, small, _), (many, best, dense) = against_dense(3000), against_dense(10**6)
+    exponent = np.log(best / small) / np.log(many / few)
+    with capsys.disabled():
+        print(f"\nplane rows, {many} returns of 128 rings: {dense / best:.0f} x a dense system; "
+              f"from {few} returns on, time grows with exponent {exponent:.2f}")  # fmt: skip
+    assert dense / best >= 15
+    assert exponent <= 1.2

@@ -3,11 +3,13 @@
 Starts from what the package's own writers write and from the corpus, and keeps going past what it finds: every finding
 of its own kind (exception and place) is a file, named after its hash, in `--findings`. Copy it to `corpus/READER` once
 it is mended, and the ordinary tests replay it. A crash, a hang of more than 20 s or 3 GiB end the run with the input.
+Then what reached something new is read once more, and the memory that it takes is held against its size.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hashlib
 import logging
 import subprocess
@@ -18,6 +20,12 @@ import warnings
 from pathlib import Path
 
 CORPUS = Path(__file__).parent / "corpus"
+
+TIMES = 20
+"""Memory that reading may take, in sizes of the file, ..."""
+
+BYTES = 8 << 20
+"""... and beyond it, whatever the size: tables of a parser, buffers of a library."""
 
 
 def fuzz(name: str, inputs: Path, findings: Path, seconds: int) -> None:
@@ -51,6 +59,34 @@ def fuzz(name: str, inputs: Path, findings: Path, seconds: int) -> None:
     atheris.Fuzz()
 
 
+def weigh(name: str, inputs: Path) -> int:
+    """Print how much memory reading takes at most, in sizes of the file; return 1 if that is too much."""
+    import tracemalloc
+
+    from tests.fuzz.readers import READERS
+
+    logging.disable(logging.CRITICAL)
+    warnings.simplefilter("ignore")
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
+    reader = READERS[name]
+    reader.furnish(folder)
+    contents = [file.read_bytes() for file in sorted([*inputs.glob("*"), *(CORPUS / name).glob("*")])]
+    for data in contents[:50]:  # what is imported is imported
+        reader.read(data, folder)
+    worst, size = 0.0, 0
+    tracemalloc.start()
+    for data in contents:
+        before, _ = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        with contextlib.suppress(Exception):  # a finding already
+            reader.read(data, folder)
+        taken = max(tracemalloc.get_traced_memory()[1] - before - BYTES, 0) / max(len(data), 1)
+        worst, size = max((worst, size), (taken, len(data)))
+    said = f", for one of {size} bytes" if worst else ""
+    print(f"{name}: {len(contents)} inputs take {worst:.1f} times the file and {BYTES >> 20} MiB at most{said}")
+    return int(worst > TIMES)
+
+
 def main() -> int:
     """Run the fuzzer in a process of its own, and say how it went."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
@@ -58,8 +94,11 @@ def main() -> int:
     parser.add_argument("--seconds", type=int, default=300)
     parser.add_argument("--findings", type=Path, default=Path("fuzz-findings"))
     parser.add_argument("--keep", type=Path, help="Keep inputs that reached something new in this folder.")
+    parser.add_argument("--weigh", type=Path, metavar="FOLDER", help="Only weigh the inputs of this folder.")
     parser.add_argument("--inputs", type=Path, help=argparse.SUPPRESS)  # of the process that fuzzes
     options = parser.parse_args()
+    if options.weigh:
+        return weigh(options.reader, options.weigh)
     if options.inputs:
         fuzz(options.reader, options.inputs, options.findings, options.seconds)
         return 0
@@ -77,12 +116,13 @@ def main() -> int:
         command = [sys.executable, "-m", "tests.fuzz", options.reader, f"--seconds={options.seconds}",
                    f"--findings={options.findings}", f"--inputs={inputs}"]  # fmt: skip
         child = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        heavy = weigh(options.reader, inputs)
     said = child.stderr.splitlines()
     found = [line for line in said if line.startswith("FINDING")]
     statistics = [line for line in said if line.startswith("stat::number_of_executed_units")]
     print(*(statistics or said[-30:]), *found, sep="\n")
     print(f"{options.reader}: {len(found)} findings, exit status {child.returncode}")
-    return 1 if found or child.returncode else 0
+    return 1 if found or child.returncode or heavy else 0
 
 
 if __name__ == "__main__":

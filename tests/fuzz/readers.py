@@ -146,6 +146,17 @@ def read_named(path: Path) -> object:
     return read_scan(path, VLP16, ["x", "y", "z", "_", "ring", "t"])
 
 
+def surveys(form: str) -> Callable[[Path], list[bytes]]:
+    def seeds(folder: Path) -> list[bytes]:
+        from tests.io.clouds import test_surveys
+
+        path = folder / f"seed.{form}"
+        (test_surveys.e57 if form == "e57" else test_surveys.las)(path, test_surveys.XYZ)
+        return [path.read_bytes()]
+
+    return seeds
+
+
 def floats(_: Path) -> list[bytes]:
     values = np.column_stack([scan().points, scan().intensity, scan().ring]).astype("<f4")
     return [values[:, :4].tobytes(), values.tobytes(), np.column_stack([values, values[:, 0]]).astype("<f4").tobytes()]
@@ -628,6 +639,7 @@ READERS: dict[str, Reader] = {
         *clouds(".bin", floats), Form("a.pcd.bin", read_scan, floats), Form("b.bin", read_named, floats),
     )),
     "npy": Reader((*clouds(".npy", npys), Form("named.npy", read_named, npys))),
+    "survey": Reader(tuple(Form(f"a.{form}", read_scan, surveys(form)) for form in ("las", "laz", "e57"))),
     "maker": Reader(tuple(Form(f"unit{ending}", load_sensor, makers) for ending in (".json", ".yaml", ".csv"))),
     "capture": Reader((Form("a.pcap", read_recording, captures),)),
     "any": Reader(tuple(

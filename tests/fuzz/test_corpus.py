@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from optshape_graph.errors import OptshapeError
+from tests.fuzz.__main__ import weigh
 from tests.fuzz.readers import READERS
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -20,6 +21,7 @@ NEEDS = {
     "message": ["rosbags", "cv2"],
     "image": ["cv2"],
     "mocap-binary": ["ezc3d"],
+    "survey": ["laspy", "lazrs", "pye57"],
     "capture": ["velodyne_decoder"],
     "any": ["cv2"],
     "yaml": ["cv2"],
@@ -70,6 +72,17 @@ def test_some_seed_of_every_form_is_read(name: str, tmp_path: Path) -> None:
             break
         else:
             assert form.name.startswith(("sweep/", "folder/")), problems  # which need other files beside them
+
+
+@pytest.mark.parametrize("name", sorted(READERS))
+def test_reading_takes_little_memory(name: str, tmp_path: Path) -> None:
+    for library in NEEDS.get(name, []):
+        pytest.importorskip(library)
+    inputs = tmp_path / "inputs"
+    inputs.mkdir()
+    for number, seed in enumerate(READERS[name].seeds(tmp_path)):
+        (inputs / str(number)).write_bytes(seed)
+    assert weigh(name, inputs) == 0
 
 
 def test_the_fuzzer_runs(tmp_path: Path) -> None:

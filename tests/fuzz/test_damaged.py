@@ -30,7 +30,9 @@ def prepared(name: str) -> tuple[Path, list[bytes]]:
     return folder / "work", READERS[name].seeds(folder)
 
 
-@pytest.mark.parametrize("name", sorted(READERS.keys() - {"mocap-binary"}))  # which has its own, a process each
+@pytest.mark.parametrize(
+    "name", sorted(READERS.keys() - {"mocap-binary", "survey"})
+)  # which have their own, a process each
 @given(data=st.data(), changed=changes, kept=st.integers(1, 1000))
 @settings(max_examples=60, suppress_health_check=list(HealthCheck))
 def test_damaged_files_are_read_or_refused(name: str, data: st.DataObject, changed: list[Change], kept: int) -> None:

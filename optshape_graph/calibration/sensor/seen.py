@@ -104,11 +104,7 @@ class Seen(Value):
         returns = returns.with_angles(found.plane.axes[0], found.scan.ring[usual], found.scan.sensor)
         yz = (returns.points @ T_target_lidar[:3, :3].T + T_target_lidar[:3, 3])[:, 1:]
         bent = -bow(target, yz) / returns.sigma[:, None]
-        returns = replace(
-            returns,
-            errors=(*returns.errors, *board_errors(target)[1:]),
-            bias=np.hstack([returns.bias, bent]),
-        )
+        returns = returns.sharing(board_errors(target)[1:], bent)
         problem = found.problem
         rest, counts = found.residuals.rest[usual], len(np.unique(found.scan.ring[usual]))
         noise = 1.4826 * float(np.median(np.abs(rest))) * np.sqrt(len(rest) / max(len(rest) - counts - 5, 1))
@@ -132,12 +128,9 @@ class Seen(Value):
         if drift == 0:
             return self
         assert self.scan.sensor is not None
-        index = [k for k, error in enumerate(self.returns.errors) if error.kind == RANGE_BIAS]
-        columns = drift / self.scan.sensor.range_bias_sds[self.ring][:, None] * self.returns.bias[:, index]
-        errors = tuple(SharedError(DRIFT, ring=self.returns.errors[k].ring) for k in index)
-        wider = replace(
-            self.returns, errors=(*self.returns.errors, *errors), bias=np.hstack([self.returns.bias, columns])
-        )
+        errors = [SharedError(DRIFT, ring=error.ring) for error in self.returns.errors if error.kind == RANGE_BIAS]
+        moved = drift / self.scan.sensor.range_bias_sds[self.ring] * self.returns.moved[:, 0]
+        wider = self.returns.sharing(errors, moved[:, None], self.returns.which[:, :1])
         return replace(self, plane=plane_measurement(wider))
 
     def measurement(self, T_target_lidar: Floats) -> BiasedMeasurement:
@@ -191,7 +184,8 @@ class Seen(Value):
         )
         T = refine(given)
         off = self.returns
-        moved = off.bias @ np.array([beta.get(error, 0.0) for error in off.errors]) * off.sigma
+        size = np.array([beta.get(error, 0.0) for error in off.errors])
+        moved = (off.moved * size[off.which]).sum(axis=1) * off.sigma
         residual = off.points @ T[0, :3] + T[0, 3] - off.offset + moved
         cosine = np.abs(off.points @ T[0, :3]) / np.linalg.norm(off.points, axis=1)
         rings, column = np.unique(self.ring, return_inverse=True)

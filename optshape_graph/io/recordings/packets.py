@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -33,6 +34,9 @@ DEFINITIONS = {
 
 PACKET_BYTES = 1206
 """Of a Velodyne's packet of returns."""
+
+LARGEST_PACKET = 262_144
+"""Bytes that a captured packet has at most (libpcap's MAXIMUM_SNAPLEN)."""
 
 SURVEYED = 500
 """Packets at the beginning that tell who sends them."""
@@ -215,19 +219,28 @@ def _decoded(name: str, decode: Any) -> Any:
         raise InputError(f"{name}: packets that cannot be decoded: {error}") from error
 
 
+class _Packets(io.BufferedReader):
+    """A capture whose reader is not given room for more than a packet: a damaged length may say 4 GB."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        if size is None or not 0 <= size <= LARGEST_PACKET:
+            raise ValueError(f"a packet of {size} bytes; expected at most {LARGEST_PACKET}")
+        return super().read(size)
+
+
 def _payloads(path: Path) -> Iterator[tuple[float, bytes]]:
     """Yield stamp and payload of the UDP packets of a capture."""
-    packets = iter(_velodyne_decoder().util.iter_pcap(str(path), (None, None)))
-    while True:
-        try:
-            stamp, payload = next(packets)
-        except StopIteration:
-            return
-        except MissingExtraError:
-            raise
-        except Exception as error:  # of dpkt on damaged bytes: not a closed set
-            raise InputError(f"{path}: captured packets that are damaged: {error}") from error
-        yield float(stamp), bytes(payload)
+    library = _velodyne_decoder()
+    with _Packets(io.FileIO(path)) as stream:
+        packets = iter(library.util.iter_pcap(stream, (None, None)))
+        while True:
+            try:
+                stamp, payload = next(packets)
+            except StopIteration:
+                return
+            except Exception as error:  # of dpkt on damaged bytes: not a closed set
+                raise InputError(f"{path}: captured packets that are damaged: {error}") from error
+            yield float(stamp), bytes(payload)
 
 
 def _velodyne_decoder() -> Any:

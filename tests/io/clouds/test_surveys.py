@@ -49,13 +49,17 @@ def test_las_of_a_map_is_refused(tmp_path: Path) -> None:
         read_scan(tmp_path / "a.las")
 
 
-def test_e57(tmp_path: Path) -> None:
+def e57(path: Path, points: np.ndarray) -> None:
     pye57 = pytest.importorskip("pye57")
-    with pye57.E57(str(tmp_path / "a.e57"), mode="w") as made:
+    with pye57.E57(str(path), mode="w") as made:
         made.write_scan_raw({
-            "cartesianX": XYZ[:, 0], "cartesianY": XYZ[:, 1], "cartesianZ": XYZ[:, 2],
-            "intensity": np.linspace(0, 1, 4), "rowIndex": RING.astype(np.uint16),
+            "cartesianX": points[:, 0], "cartesianY": points[:, 1], "cartesianZ": points[:, 2],
+            "intensity": np.linspace(0, 1, len(points)), "rowIndex": RING.astype(np.uint16),
         })  # fmt: skip
+
+
+def test_e57(tmp_path: Path) -> None:
+    e57(tmp_path / "a.e57", XYZ)
     scan = read_scan(tmp_path / "a.e57")
     np.testing.assert_allclose(scan.points, XYZ, rtol=0, atol=1e-6)
     np.testing.assert_allclose(scan.intensity, np.linspace(0, 1, 4), rtol=0, atol=1e-6)
@@ -68,3 +72,12 @@ def test_damage_costs_an_error(tmp_path: Path, suffix: str) -> None:
     (tmp_path / f"a{suffix}").write_bytes(begin + bytes(400))
     with pytest.raises(InputError, match=rf"a\{suffix}: not a readable {'e57' if suffix == '.e57' else 'las'} file"):
         read_scan(tmp_path / f"a{suffix}")
+
+
+def test_a_header_that_promises_much_costs_an_error(tmp_path: Path) -> None:
+    las(tmp_path / "a.las", XYZ)
+    content = bytearray((tmp_path / "a.las").read_bytes())
+    content[247:255] = (2_000_000_000).to_bytes(8, "little")  # points, of LAS 1.4
+    (tmp_path / "a.las").write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.las: not a readable las file"):
+        read_scan(tmp_path / "a.las")
