@@ -98,12 +98,12 @@ class EdgePoints(Value):
     @property
     def n_rings(self) -> int:
         """Number of rings that hit the target."""
-        return len(self) // 2
+        return int(np.count_nonzero(np.abs(self.side) < UP)) // 2
 
     @property
     def lost_rings(self) -> float:
         """Share of rings that return nothing though they meet the target, from those between the lowest and highest."""
-        between = self.ring[-1] - self.ring[0] + 1
+        between = self.ring.max() - self.ring.min() + 1
         tried, lost = KNOWN_LOST
         return float((between - self.n_rings + lost) / (between + tried))
 

@@ -121,7 +121,7 @@ def rotation_vector(R: Floats) -> Floats:
 
 
 def turns_between(A: Floats, B: Floats) -> Floats:
-    """Return the rotation vectors (N, M, 3), rad, from each transform to each of M others, in the axes of the first.
+    """Return the rotation vectors (N, 3, M), rad, from each transform to each of M others, in the axes of the first.
 
     Args:
         A: (N, 4, 4).
@@ -132,14 +132,15 @@ def turns_between(A: Floats, B: Floats) -> Floats:
     left = np.zeros((len(A), 4, 4))  # the product of quaternions as a matrix
     left[:, :1, :1], left[:, 0, 1:], left[:, 1:, 0] = w, -v, v
     left[:, 1:, 1:] = w * _UNIT + skew(v)
-    q = _quaternion(B[..., :3, :3]).reshape(-1, 4) @ np.swapaxes(left, 1, 2)
-    q = q.reshape(len(A), *B.shape[:2], 4)
-    nearest = np.abs(q[..., 0]).argmax(axis=-1)
-    q = np.take_along_axis(q, nearest[..., None, None], axis=2)[:, :, 0]
-    q *= np.where(q[..., :1] < 0, -1.0, 1.0)
-    sine = np.sqrt((q[..., 1:] ** 2).sum(axis=-1, keepdims=True))
-    turn = 2.0 * np.arctan2(sine, q[..., :1])
-    return np.asarray(q[..., 1:] * np.divide(turn, sine, out=np.full_like(sine, 2.0), where=sine > 1e-150))
+    q = left @ np.ascontiguousarray(_quaternion(B[..., :3, :3]).reshape(-1, 4).T)
+    if B.shape[1] > 1:
+        q = q.reshape(len(A), 4, *B.shape[:2])
+        nearest = np.abs(q[:, 0]).argmax(axis=-1)
+        q = np.take_along_axis(q, nearest[:, None, :, None], axis=3)[..., 0]
+    sine = np.sqrt(q[:, 1] ** 2 + q[:, 2] ** 2 + q[:, 3] ** 2)
+    turn = 2.0 * np.arctan2(sine, np.abs(q[:, 0]))
+    per_sine = np.divide(turn, sine, out=np.full_like(sine, 2.0), where=sine > 1e-150)
+    return np.asarray(q[:, 1:] * np.where(q[:, 0] < 0, -per_sine, per_sine)[:, None])
 
 
 def angle(T: Floats) -> Floats:

@@ -208,7 +208,7 @@ def _free(scan: Scan, target: Target, T: Floats) -> tuple[Floats, Floats]:
         residual = geometry.residual[0] + x[0] * across
         inset, spread = problem.edges.middle, problem.edges.width**2 / 12
         step = posterior_step(
-            problem, geometry, precision[None], shift[None], J[None], residual[None], inset, spread, SWEEPS, settled=0.0
+            problem.ends, geometry, precision[None], shift[None], J[None], residual[None], inset, spread, SWEEPS
         )
         mean, covariance = step.mean[0], step.covariance[0]
         x = x + mean[6:]

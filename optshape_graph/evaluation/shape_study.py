@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
-import optshape_graph
 from optshape_graph._arrays import Bools, Floats, Value
+from optshape_graph._version import __version__
 from optshape_graph.design.bound import covariance_bound
 from optshape_graph.design.family import Family
 from optshape_graph.design.judgement import DEGREE, worst_cell
@@ -172,7 +172,7 @@ def study_shapes(
     """
     describe = {
         "kind": "shape study",
-        "version": optshape_graph.__version__,
+        "version": __version__,
         "sensor": asdict(sensor),
         "placements": placements,
         "seed": seed,

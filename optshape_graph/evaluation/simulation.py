@@ -10,8 +10,8 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-import optshape_graph
 from optshape_graph._arrays import Floats, Value
+from optshape_graph._version import __version__
 from optshape_graph.design.bound import covariance_bound
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.evaluation.harness import Progress, Row, run_tasks
@@ -109,7 +109,7 @@ class SimulationSweep(Value):
         """Everything that decides the results, as plain data."""
         sensor = self.model
         return {
-            "version": optshape_graph.__version__,
+            "version": __version__,
             "target": {"name": self.target.name, "vertices": self.target.vertices.tolist()},
             "sensor": {
                 "name": sensor.name,

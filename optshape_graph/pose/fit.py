@@ -205,13 +205,8 @@ def ring_flags(found: Finding, cover: Coverage) -> list[Flag]:
     ]  # fmt: skip
 
 
-def measure_fit(found: Finding, duplicates: int) -> Fit:
-    """Say how well the returns fit the pose that was found.
-
-    Args:
-        found: the pose, and what it was found in.
-        duplicates: exact copies of returns that were dropped.
-    """
+def measure_fit(found: Finding) -> Fit:
+    """Say how well the returns fit the pose that was found."""
     evidence, ends, T_target_lidar = found.evidence, found.ends, found.measurement.T_target_lidar
     scan, r = evidence.scan, evidence.residuals
     normal = T_target_lidar[0, :3]
@@ -259,7 +254,7 @@ def measure_fit(found: Finding, duplicates: int) -> Fit:
         missing_rings=rings,
         expected_returns=expected,
         ring_tilt=tilt,
-        duplicates=duplicates,
+        duplicates=evidence.duplicates,
         flags=tuple(sorted((flag for flag in flags if flag.excess > 1.0), key=lambda flag: -flag.excess)),
         warnings=tuple(warnings),
     )

@@ -130,16 +130,18 @@ def _draw(components: Components, rng: np.random.Generator) -> tuple[Floats, Flo
 
 
 def _log_components(components: Components, T: Floats, scalar: Floats, symmetries: Floats) -> tuple[Floats, Floats]:
-    """Logarithm (C, S) of weight times density of each component, and where it has each sample (C, S, 7)."""
+    """Logarithm (C, S) of weight times density of each component, and where it has each sample (C, 7, S)."""
     roots: Floats = np.asarray(np.linalg.cholesky(components.covariance))
     base = inverse(components.T)
-    turn = turns_between(components.T, T[:, None] @ symmetries)
-    moved = T[:, :3, 3] @ np.swapaxes(base[:, :3, :3], 1, 2) + base[:, None, :3, 3]
-    charts = np.concatenate([turn, moved, np.broadcast_to(scalar, turn.shape[:2])[..., None]], axis=-1)
-    white = (charts - components.mean[:, None]) @ np.swapaxes(np.linalg.inv(roots), 1, 2)
-    squared = (white**2).sum(axis=-1)
+    charts = np.empty((len(base), 7, len(T)))
+    turn = charts[:, :3]
+    turn[:] = turns_between(components.T, T[:, None] @ symmetries)
+    charts[:, 3:6] = base[:, :3, :3] @ np.ascontiguousarray(T[:, :3, 3].T) + base[:, :3, 3:]
+    charts[:, 6] = scalar
+    white = np.linalg.inv(roots) @ (charts - components.mean[..., None])
+    squared = (white * white).sum(axis=1)
     # How much volume of rotations a volume of rotation vectors covers there: (2 sin(x / 2) / x)^2.
-    volume = 2 * np.log(np.sinc(np.linalg.norm(turn, axis=-1) / (2 * np.pi)))
+    volume = 2 * np.log(np.sinc(np.sqrt((turn * turn).sum(axis=1)) / (2 * np.pi)))
     constant = lgamma((FREEDOM + 7) / 2) - lgamma(FREEDOM / 2) - 3.5 * np.log(FREEDOM * np.pi)
     scale = np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
     log = constant - scale[:, None] - 0.5 * (FREEDOM + 7) * np.log1p(squared / FREEDOM) - volume
@@ -156,11 +158,11 @@ def _refitted(components: Components, share: Floats, charts: Floats) -> Componen
     mean, covariance = components.mean.copy(), components.covariance.copy()
     for c in np.flatnonzero(mass > 0):
         p, effective = _tempered(share[c] / share[c].max())
-        new = p @ charts[c]
-        off = charts[c] - new
+        new = charts[c] @ p
+        off = charts[c] - new[:, None]
         trust = effective / (effective + FEW)
         mean[c] = new
-        covariance[c] = trust * 1.2 * (p[:, None] * off).T @ off + (1 - trust) * covariance[c]
+        covariance[c] = trust * 1.2 * (p * off) @ off.T + (1 - trust) * covariance[c]
     weight = (1 - EVEN) * mass / mass.sum() + EVEN / len(mass)
     # A sample that weighs much on its own lies where no component is: it becomes one.
     weighs = share.sum(axis=0)
@@ -169,7 +171,7 @@ def _refitted(components: Components, share: Floats, charts: Floats) -> Componen
     owner, born = share[:, heavy].argmax(axis=0), 0.5 * weighs[heavy]
     return Components(
         np.concatenate([components.T, components.T[owner]]),
-        np.concatenate([mean, charts[owner, heavy]]),
+        np.concatenate([mean, charts[owner, :, heavy]]),
         np.concatenate([covariance, components.covariance[owner] / 4]),
         np.concatenate([weight, born]) / (1.0 + born.sum()),
     )

@@ -17,6 +17,7 @@ import sys
 import tempfile
 import traceback
 import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -61,30 +62,47 @@ def fuzz(name: str, inputs: Path, findings: Path, seconds: int) -> None:
 
 def weigh(name: str, inputs: Path) -> int:
     """Print how much memory reading takes at most, in sizes of the file; return 1 if that is too much."""
-    import tracemalloc
-
     from tests.fuzz.readers import READERS
 
-    logging.disable(logging.CRITICAL)
-    warnings.simplefilter("ignore")
     folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
     reader = READERS[name]
     reader.furnish(folder)
     contents = [file.read_bytes() for file in sorted([*inputs.glob("*"), *(CORPUS / name).glob("*")])]
-    for data in contents[:50]:  # what is imported is imported
-        reader.read(data, folder)
     worst, size = 0.0, 0
-    tracemalloc.start()
-    for data in contents:
-        before, _ = tracemalloc.get_traced_memory()
-        tracemalloc.reset_peak()
-        with contextlib.suppress(Exception):  # a finding already
+    with _quiet():
+        for data in contents[:50]:  # what is imported is imported
             reader.read(data, folder)
-        taken = max(tracemalloc.get_traced_memory()[1] - before - BYTES, 0) / max(len(data), 1)
-        worst, size = max((worst, size), (taken, len(data)))
+        for data in contents:
+            taken = max(_memory(lambda data=data: reader.read(data, folder)) - BYTES, 0) / max(len(data), 1)
+            worst, size = max((worst, size), (taken, len(data)))
     said = f", for one of {size} bytes" if worst else ""
     print(f"{name}: {len(contents)} inputs take {worst:.1f} times the file and {BYTES >> 20} MiB at most{said}")
     return int(worst > TIMES)
+
+
+def _memory(read: Callable[[], object]) -> int:
+    """Return the most memory, in bytes, that a call takes, whether it returns or raises."""
+    import tracemalloc
+
+    tracemalloc.start()
+    try:
+        with contextlib.suppress(Exception):  # a finding already
+            read()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence warnings and the log meanwhile: those who weigh in a test have others after it."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            yield
+    finally:
+        logging.disable(before)
 
 
 def main() -> int:

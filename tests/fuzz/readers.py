@@ -431,7 +431,7 @@ def g2os(_: Path) -> list[bytes]:
 
 
 def exports(_: Path) -> list[bytes]:
-    from tests.io.test_mocap import motive_csv, vicon_csv
+    from tests.io.mocap.exports import motive_csv, vicon_csv
 
     return [motive_csv().encode(), vicon_csv().encode()]
 
@@ -460,17 +460,17 @@ def everything(folder: Path) -> list[bytes]:
 
 
 def tsvs(_: Path) -> list[bytes]:
-    from tests.io.test_mocap import qualisys_tsv
+    from tests.io.mocap.exports import qualisys_tsv
 
     return [qualisys_tsv("0.000", 2, True).encode(), qualisys_tsv("", 0, False).encode()]
 
 
 def binary_of(form: str) -> Callable[[Path], list[bytes]]:
     def seeds(folder: Path) -> list[bytes]:
-        from tests.io import test_mocap
+        from tests.io.mocap import exports
 
         path = folder / f"seed.{form}"
-        getattr(test_mocap, form)(path)
+        getattr(exports, form)(path)
         return [path.read_bytes()]
 
     return seeds

@@ -21,7 +21,7 @@ from optshape_graph.io.clouds.npz import read_npy
 from optshape_graph.io.mocap import UNLABELLED, read_mocap
 from optshape_graph.io.trajectories import read_trajectory
 from tests.io import test_cameras as cameras
-from tests.io.test_mocap import motive_csv, vicon_csv
+from tests.io.mocap.exports import motive_csv, vicon_csv
 
 VLP16 = load_sensor("vlp16")
 RING = np.repeat(np.arange(4), 3)

@@ -38,6 +38,11 @@ BEGINNINGS = {
 """Forms by the first bytes; these win over the ending."""
 
 
+def form_of_head(head: bytes) -> str | None:
+    """Return the form of a file by its first bytes: of a cloud, "packets" or "bag"; None: they do not tell."""
+    return next((form for beginning, form in BEGINNINGS.items() if head.startswith(beginning)), None)
+
+
 def form_of(path: str | Path) -> str:
     """Return the form of a cloud's file: "pcd", "ply", "npz", "npy", "text", "binary", "las" or "e57".
 
@@ -49,8 +54,7 @@ def form_of(path: str | Path) -> str:
         raise InputError(
             f"{path}: a folder; expected one cloud (a folder of clouds is read by `optshape map` and `extract`)"
         )
-    head = read_head(path, 64)
-    form = next((form for begin, form in BEGINNINGS.items() if head.startswith(begin)), None)
+    form = form_of_head(read_head(path, 64))
     if form in ("packets", "bag"):
         what = "captured packets (pcap)" if form == "packets" else "a bag"
         raise InputError(f"{path}: {what}, of many scans; expected one cloud: take them out with `optshape extract`")

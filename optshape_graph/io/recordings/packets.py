@@ -14,6 +14,7 @@ import numpy as np
 
 from optshape_graph.errors import InputError, MissingExtraError, missing_extra
 from optshape_graph.io.clouds import Columns, make_scan
+from optshape_graph.io.clouds.files import form_of_head
 from optshape_graph.io.files import read_head
 from optshape_graph.io.recordings.stream import BadMessage, Skipped, Stamped
 from optshape_graph.io.recordings.topics import Topic
@@ -41,12 +42,10 @@ LARGEST_PACKET = 262_144
 SURVEYED = 500
 """Packets at the beginning that tell who sends them."""
 
-_BEGINNINGS = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\n\r\r\n")
-
 
 def is_capture(path: Path) -> bool:
     """Say whether a file is captured packets: pcap or pcapng, by its first bytes."""
-    return path.is_file() and read_head(path, 4).startswith(_BEGINNINGS)
+    return path.is_file() and form_of_head(read_head(path, 64)) == "packets"
 
 
 def metadata_beside(path: Path) -> Path | None:
