@@ -14,6 +14,7 @@ from optshape_graph.cli.options import (
     DISTANCE,
     FILE,
     FOLDER,
+    JSON_FILE,
     POSITIVE,
     Number,
     example,
@@ -166,7 +167,7 @@ def optimise(
 @click.option("--range", "--distance", "distance", type=DISTANCE, default=10.0, show_default=True,
               help="Of the target from it, m.")  # fmt: skip
 @click.option("--plot", type=FILE, help="Write a plot that compares the shapes.")
-@click.option("-o", "--json", "--output", "output", type=FILE, help="Write the numbers to this file.")
+@click.option("-o", "--json", "--output", "output", type=JSON_FILE, help="Write the numbers to this file.")
 @force_option
 def score(
     shapes: tuple[str, ...], sensor: str, distance: float, plot: Path | None, output: Path | None, force: bool

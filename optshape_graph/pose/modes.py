@@ -81,7 +81,8 @@ class SampledPose(Value):
         offset: mean of the offset across the edges, in beam widths.
         covariance: (7, 7) of the right perturbation of T_target_lidar, rotation first, and of the offset.
         errors: (K,) what other scans of the sensor or of the scene share: where rings look, and where the target ends.
-        effect: (7, K) how far the truth lies from pose and offset for a standard deviation of each.
+        effect: (7, K) how far the truth lies from pose (rad, metres) and offset (beam widths) for a standard deviation
+            of each.
     """
 
     T_target_lidar: Floats
