@@ -23,6 +23,9 @@ from optshape_graph.target import Target
 
 _ANGLES = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
 _PAIRS = np.triu_indices(5)
+_AT = np.zeros((5, 5), dtype=int)  # where in a row of such pairs each entry of a symmetric (5, 5) matrix is
+_AT[_PAIRS] = _AT.T[_PAIRS] = np.arange(15)
+_REST = [0, 1, 4]  # what multiplies cosine, sine and -1
 _REFINED = 400  # labellings whose angle is refined from the grid's
 _SECTOR = 2  # grid steps between the directions in which a rival is looked for
 _AT_ONCE = 8  # scans whose labellings are worked on at once: arrays stay in cache
@@ -146,27 +149,27 @@ def _best_different(sums: Floats, count: int, size: Floats) -> list[tuple[Floats
         count: number of ring ends in each.
         size: (B,) radius of each target, metres.
     """
-    G = np.empty((*sums.shape[:2], 5, 5))
-    G[..., _PAIRS[0], _PAIRS[1]] = G[..., _PAIRS[1], _PAIRS[0]] = sums
-    by_t, rest = G[..., 2:4, 2:4] + 1e-9 * count * np.eye(2), G[..., [0, 1, 4], :][..., [0, 1, 4]]
-    cross = G[..., 2:4, :][..., [0, 1, 4]]
-    K = _solve_2x2(by_t, cross)
-    which, angle = _minimise_on_circle(rest - np.swapaxes(cross, -1, -2) @ K)
+    by_y, by_z, across = sums[..., _AT[2, 2]] + 1e-9 * count, sums[..., _AT[3, 3]] + 1e-9 * count, sums[..., _AT[2, 3]]
+    of_y, of_z = sums[..., _AT[2, _REST]], sums[..., _AT[3, _REST]]
+    determinant = (by_y * by_z - across**2)[..., None]
+    # The best t is -K (cos, sin, -1).
+    K = (
+        (by_z[..., None] * of_y - across[..., None] * of_z) / determinant,
+        (by_y[..., None] * of_z - across[..., None] * of_y) / determinant,
+    )
+    form = (
+        sums[..., _AT[np.ix_(_REST, _REST)]]
+        - of_y[..., None] * K[0][..., None, :]
+        - of_z[..., None] * K[1][..., None, :]
+    )
+    which, angle = _minimise_on_circle(form)
     x = np.stack([np.cos(angle), np.sin(angle), -np.ones_like(angle)], axis=-1)
-    t = -(K[np.arange(len(K))[:, None], which] @ x[..., None])[..., 0]
+    scan = np.arange(len(sums))[:, None]
+    t = np.stack([-(part[scan, which] * x).sum(axis=-1) for part in K], axis=-1)
     place = (t[..., 0] + 1j * t[..., 1]) / size[:, None]
     near = _first_different(angle, place, np.radians(1.5), 0.01, NEAR)
     far = _first_different(angle, place, np.radians(15.0), 0.3, FAR)
     return [(a[chosen], b[chosen]) for a, b, chosen in zip(angle, t, near | far, strict=True)]
-
-
-def _solve_2x2(A: Floats, B: Floats) -> Floats:
-    """Solve systems (..., 2, 2) with right-hand sides (..., 2, n) in closed form."""
-    adjugate = np.empty_like(A)
-    adjugate[..., 0, 0], adjugate[..., 1, 1] = A[..., 1, 1], A[..., 0, 0]
-    adjugate[..., 0, 1], adjugate[..., 1, 0] = -A[..., 0, 1], -A[..., 1, 0]
-    determinant = A[..., 0, 0] * A[..., 1, 1] - A[..., 0, 1] * A[..., 1, 0]
-    return np.asarray(adjugate @ B / determinant[..., None, None])
 
 
 def _rings_that_fit(n_edges: int, n_rings: int) -> int:
@@ -189,21 +192,22 @@ def _minimise_on_circle(form: Floats) -> tuple[Ints, Floats]:
     outer = np.einsum("ai,aj->aij", grid, grid).reshape(len(grid), 9)
     values = form.reshape(*form.shape[:2], 9) @ outer.T
     scan, best = np.arange(len(form))[:, None], values.argmin(axis=2)
-    top = np.argsort(values.min(axis=2), axis=1)[:, :_REFINED]
+    least = np.take_along_axis(values, best[..., None], axis=2)[..., 0]
+    top = np.argsort(least, axis=1)[:, :_REFINED]
     sectors = np.arange(0, len(_ANGLES), _SECTOR)
     which = np.concatenate([top, values[:, :, sectors].argmin(axis=1)], axis=1)
     directions = np.broadcast_to(_ANGLES[sectors], (len(form), len(sectors)))
-    phi, F = np.concatenate([_ANGLES[best[scan, top]], directions], axis=1), form[scan, which]
+    phi = np.concatenate([_ANGLES[best[scan, top]], directions], axis=1)
+    cc, cs, c1, _, ss, s1, _, _, one = np.moveaxis(form.reshape(*form.shape[:2], 9)[scan, which], 2, 0)
     for _ in range(4):
-        c, s, zero = np.cos(phi), np.sin(phi), np.zeros_like(phi)
-        v = np.stack([c, s, zero - 1], axis=-1)
-        d = np.stack([-s, c, zero], axis=-1)
-        Fv, Fd = (F @ v[..., None])[..., 0], (F @ d[..., None])[..., 0]
-        slope = (d * Fv).sum(axis=-1)
-        curvature = (d * Fd).sum(axis=-1) - ((v + np.array([0.0, 0.0, 1.0])) * Fv).sum(axis=-1)
+        c, s = np.cos(phi), np.sin(phi)
+        double, square = c * s, c * c - s * s
+        slope = (ss - cc) * double + cs * square + c1 * s - s1 * c
+        curvature = (ss - cc) * square - 4 * cs * double + c1 * c + s1 * s
         phi = phi - np.clip(slope / np.where(curvature > 0, curvature, np.inf), -0.1, 0.1)
-    v = np.stack([np.cos(phi), np.sin(phi), -np.ones_like(phi)], axis=-1)
-    order = np.argsort((v * (F @ v[..., None])[..., 0]).sum(axis=-1), axis=1, kind="stable")
+    c, s = np.cos(phi), np.sin(phi)
+    cost = cc * c * c + 2 * cs * c * s + ss * s * s - 2 * (c1 * c + s1 * s) + one
+    order = np.argsort(cost, axis=1, kind="stable")
     return which[scan, order], phi[scan, order]
 
 

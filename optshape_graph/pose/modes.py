@@ -68,6 +68,9 @@ BROAD = (0.25, 0.05)
 TRUSTED = 50.0
 """Effective samples below which samples settle nothing."""
 
+NOTHING = 1e-12
+"""Weight of a sample over the largest below which it doesn't count."""
+
 ASKED = 256
 """Samples that are asked on which edge each ring ends."""
 
@@ -81,7 +84,8 @@ class SampledPose(Value):
         offset: mean of the offset across the edges, in beam widths.
         covariance: (7, 7) of the right perturbation of T_target_lidar, rotation first, and of the offset.
         errors: (K,) what other scans of the sensor or of the scene share: where rings look, and where the target ends.
-        effect: (7, K) how far the truth lies from pose and offset for a standard deviation of each.
+        effect: (7, K) how far the truth lies from pose (rad, metres) and offset (beam widths) for a standard deviation
+            of each.
     """
 
     T_target_lidar: Floats
@@ -342,6 +346,8 @@ def _components(posterior: Posterior, centre: Floats, size: float) -> Components
 
 def _moments(samples: Samples, first: Floats, evidence: Evidence) -> SampledPose:
     """Mean and covariance of samples of T_lidar_target about one of them, the target's equivalents being one."""
+    counts = samples.weight > NOTHING * samples.weight.max()
+    samples = replace(samples, T=samples.T[counts], scalar=samples.scalar[counts], weight=samples.weight[counts])
     weight = samples.weight / samples.weight.sum()
     poses = inverse(evidence.problem.target.nearest_equivalent(samples.T, first))
     mean = inverse(first)

@@ -141,8 +141,10 @@ def _edge_measurement(
     by_angle, angles = angle_errors(g.lifted.ravel(), g.turned.ravel(), ring, problem.sensor)
     common = np.stack([g.across * problem.beam.common, -g.along * problem.blooming[:, 0]], axis=-1)
     parts = [common, strain * problem.strains(g.labels, boundary, T), outer, by_angle, A, r]
-    whitened = np.concatenate([part.reshape(*own.shape, -1) for part in parts], axis=-1) / (factor * own[..., None])
-    rows = np.sqrt(weight)[:, None, None] * _without_shifts(problem.ring_shifts * (g.along / own)[..., None], whitened)
+    rows = np.concatenate([part.reshape(*own.shape, -1) for part in parts], axis=-1)
+    rows *= (np.sqrt(weight)[:, None] / (factor * own))[..., None]
+    if problem.ring_shifts.shape[1]:
+        rows = _without_shifts(problem.ring_shifts * (g.along / own)[..., None], rows)
     stack = rows.reshape(-1, rows.shape[-1])
     measurement = BiasedMeasurement.from_rows(
         stack[:, -13:-1],
