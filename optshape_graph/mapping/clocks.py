@@ -26,7 +26,7 @@ class Clocks:
         odometry: of the first and the last pose read, on their own clock, or None.
         offset: seconds that were added to the stamps of the odometry.
         offset_sd: standard deviation of the offset, seconds; None: it was given.
-        jumps: how clocks were set back, by the name of the stream.
+        jumps: how clocks were set, by the name of the stream.
     """
 
     scans: tuple[float, float] | None = None
@@ -48,7 +48,8 @@ class Clocks:
             said.append(f"clock offset, added to the stamps of the odometry: {self.offset:.4f} s ({how})")
         for name, jumps in (self.jumps or {}).items():
             said += [
-                f"{name}: its clock was set back by {jump.seconds:.3f} s at {jump.stamp:.3f} s; taken to have gone on"
+                f"{name}: its clock was set {'back' if jump.seconds > 0 else 'forward'} by {abs(jump.seconds):.3f} s "
+                f"at {jump.stamp:.3f} s; taken to have gone on"
                 for jump in jumps
             ]
         return said
