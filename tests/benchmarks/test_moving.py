@@ -164,7 +164,8 @@ def test_no_odometry_and_a_known_map(tmp_path, capsys):
     with capsys.disabled():
         print(
             f"\nwithout odometry, {len(SEEDS)} drives: landmarks at most {1e3 * max(judged.errors):.1f} mm off, "
-            f"NEES/dof {np.mean(judged.nees):.2f}; in the known map {placed} of {poses_of} keyframes within 10 cm and 1.7 deg"
+            f"NEES/dof {np.mean(judged.nees):.2f}; in the known map {placed} of {poses_of} keyframes within 10 cm and "
+            "1.7 deg"
         )
     assert max(judged.errors) <= 0.040
     assert np.mean(judged.nees) <= 2.0
