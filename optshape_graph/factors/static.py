@@ -80,6 +80,9 @@ STRAIN = ("aspect", "shear")
 """Kinds of errors that are the target's own, in all scans of it: that its surface is not the plane x = 0 of its frame,
 and that its outline is not as drawn."""
 
+OF_TARGET = (*SURFACE, *STRAIN)
+"""Kinds of errors that a target keeps, in all scans of it."""
+
 
 @dataclass(frozen=True)
 class SharedError:

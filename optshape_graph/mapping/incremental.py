@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 
@@ -23,9 +22,6 @@ __all__ = ["LandmarkSlam", "Outcome", "Verdict"]
 
 AT_THE_ORIGIN = Start(np.eye(4), 1e-8 * np.eye(6))
 """The world is the first pose's LiDAR frame."""
-
-NEAREST = 12
-"""How many landmarks a sighting without a name is compared with at most: those nearest to where it was seen."""
 
 LOOK_EVERY = 20
 """Every how many poses stale summaries are looked for."""
@@ -257,11 +253,4 @@ class LandmarkSlam:
         name = sighting.landmark
         if name is not None:
             return {name: self._graph.T_world_target(name)} if name in self._graph.landmarks else {}
-        poses = {
-            name: self._graph.T_world_target(name)
-            for name, landmark in self._graph.landmarks.items()
-            if landmark.target.name == sighting.target.name
-        }
-        seen_at = (T_world_lidar @ sighting.T_lidar_target())[:3, 3]
-        nearest = sorted(poses, key=lambda name: float(np.linalg.norm(poses[name][:3, 3] - seen_at)))
-        return {name: poses[name] for name in islice(nearest, NEAREST)}
+        return self._graph.near(sighting, T_world_lidar)
