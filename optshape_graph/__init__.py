@@ -9,6 +9,7 @@ scan, `factors` makes GTSAM factors of estimates, `graph` solves several scans a
 from typing import TYPE_CHECKING
 
 from optshape_graph._lazy import lazy
+from optshape_graph._version import __version__
 from optshape_graph.errors import EstimationError, InputError, MissingExtraError, OptshapeError, UnobservableError
 
 if TYPE_CHECKING:
@@ -19,12 +20,10 @@ if TYPE_CHECKING:
     from optshape_graph.detection import Detections, detect_targets
     from optshape_graph.io import load_sensor, load_session, load_target, read_scan
     from optshape_graph.mapping import Map, load_map, map_recording, save_map
-    from optshape_graph.pose import PoseEstimate, estimate_pose
+    from optshape_graph.pose import PoseEstimate, estimate_pose, estimate_poses
     from optshape_graph.scan import Scan
     from optshape_graph.sensor import SensorModel
     from optshape_graph.target import Chessboard, Target
-
-__version__ = "0.1.0"
 
 _HOME = {
     "calibration.camera": "CameraCalibration calibrate_camera",
@@ -34,7 +33,7 @@ _HOME = {
     "detection": "Detections detect_targets",
     "io": "load_sensor load_session load_target read_scan",
     "mapping": "Map load_map map_recording save_map",
-    "pose": "PoseEstimate estimate_pose",
+    "pose": "PoseEstimate estimate_pose estimate_poses",
     "scan": "Scan",
     "sensor": "SensorModel",
     "target": "Chessboard Target",
@@ -65,6 +64,7 @@ __all__ = [
     "calibrate_sensor",
     "detect_targets",
     "estimate_pose",
+    "estimate_poses",
     "load_map",
     "load_sensor",
     "load_session",

@@ -15,7 +15,7 @@ def sight_planes(corners: Floats) -> Floats:
 
 
 def chords(
-    normals: Floats, elevations: Floats, reference_azimuth: float, margin: Floats | float = 0.0
+    normals: Floats, elevations: Floats, reference_azimuth: Floats | float, margin: Floats | float = 0.0
 ) -> tuple[Floats, Floats]:
     """Return the azimuths between which rings are inside polygons, or outside by at most an angle.
 
@@ -24,8 +24,8 @@ def chords(
 
     Args:
         normals: (S, n, 3), see `sight_planes`.
-        elevations: (R,) rad.
-        reference_azimuth: some azimuth of the target, rad.
+        elevations: (R,) rad, or (S, 1, R) of each.
+        reference_azimuth: some azimuth of the target, rad, or one of each (S, 1).
         margin: (S,), or one for all, rad.
 
     Returns:

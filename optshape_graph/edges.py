@@ -97,12 +97,12 @@ class EdgePoints(Value):
     @property
     def n_rings(self) -> int:
         """Number of rings that hit the target."""
-        return len(self) // 2
+        return int(np.count_nonzero(np.abs(self.side) < UP)) // 2
 
     @property
     def lost_rings(self) -> float:
         """Share of rings that meet the target but return nothing, by those between the lowest and the highest."""
-        between = self.ring[-1] - self.ring[0] + 1
+        between = self.ring.max() - self.ring.min() + 1
         tried, lost = KNOWN_LOST
         return float((between - self.n_rings + lost) / (between + tried))
 

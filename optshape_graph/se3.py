@@ -113,33 +113,38 @@ def rotation_vector(R: Floats) -> Floats:
 
     They are taken from unit quaternions (Shepperd, 1978), which keep all digits near 0 and near pi.
     """
-    q = _quaternion(R)
+    q = quaternion(R)
     q = np.where(q[..., :1] < 0, -q, q)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, q[..., :1])
     return np.asarray(q[..., 1:] * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 1e-150))
 
 
-def turns_between(A: Floats, B: Floats) -> Floats:
-    """Return the rotation vectors (N, M, 3), rad, from each transform to each of M others, in the axes of the first.
+def turns_between(A: Floats, quaternions: Floats) -> tuple[Floats, Floats]:
+    """Return the rotation vectors (N, 3, M), rad, from each transform to each of M rotations, in the axes of the first.
 
     Args:
         A: (N, 4, 4).
-        B: (M, K, 4, 4), for each of the M transforms K equivalent ones, of which the one turned least is taken.
+        quaternions: (M, K, 4) of unit length, K equivalent rotations of each: the one that is turned least counts.
+
+    Returns:
+        The rotation vectors; and (N, M) their angles over the sines of half of them, 2 where nothing is turned.
     """
-    conjugate = _quaternion(A[:, :3, :3]) * [1.0, -1.0, -1.0, -1.0]
+    conjugate = quaternion(A[:, :3, :3]) * [1.0, -1.0, -1.0, -1.0]
     w, v = conjugate[:, :1, None], conjugate[:, 1:]
     left = np.zeros((len(A), 4, 4))  # the product of quaternions as a matrix
     left[:, :1, :1], left[:, 0, 1:], left[:, 1:, 0] = w, -v, v
     left[:, 1:, 1:] = w * _UNIT + skew(v)
-    q = _quaternion(B[..., :3, :3]).reshape(-1, 4) @ np.swapaxes(left, 1, 2)
-    q = q.reshape(len(A), *B.shape[:2], 4)
-    nearest = np.abs(q[..., 0]).argmax(axis=-1)
-    q = np.take_along_axis(q, nearest[..., None, None], axis=2)[:, :, 0]
-    q *= np.where(q[..., :1] < 0, -1.0, 1.0)
-    sine = np.sqrt((q[..., 1:] ** 2).sum(axis=-1, keepdims=True))
-    turn = 2.0 * np.arctan2(sine, q[..., :1])
-    return np.asarray(q[..., 1:] * np.divide(turn, sine, out=np.full_like(sine, 2.0), where=sine > 1e-150))
+    count, equivalent = quaternions.shape[:2]
+    q = left @ np.ascontiguousarray(quaternions.reshape(-1, 4).T)
+    if equivalent > 1:
+        q = q.reshape(len(A), 4, count, equivalent)
+        nearest = np.abs(q[:, 0]).argmax(axis=-1)
+        q = np.take_along_axis(q, nearest[:, None, :, None], axis=3)[..., 0]
+    sine = np.sqrt(q[:, 1] ** 2 + q[:, 2] ** 2 + q[:, 3] ** 2)
+    turn = 2.0 * np.arctan2(sine, np.abs(q[:, 0]))
+    per_sine = np.divide(turn, sine, out=np.full_like(sine, 2.0), where=sine > 1e-150)
+    return q[:, 1:] * np.where(q[:, 0] < 0, -per_sine, per_sine)[:, None], per_sine
 
 
 def angle(T: Floats) -> Floats:
@@ -281,10 +286,12 @@ def _fifth(theta: Floats) -> Floats:
 def _series(theta: Floats, coefficient: Callable[[int], float], closed: Callable[[Floats], Floats]) -> Floats:
     """Sum (-1)^k c_k theta^(2 k) below the small angle, and the closed form above it, as (..., 1, 1)."""
     small = theta < _SMALL_ANGLE
-    squared, summed = np.square(np.where(small, theta, 0.0)), 0.0
+    squared, value = np.square(np.where(small, theta, 0.0)), np.zeros_like(theta)
     for k in reversed(range(_TERMS)):
-        summed = (-1) ** k * coefficient(k) + squared * summed
-    return np.asarray(np.where(small, summed, closed(np.where(small, np.pi, theta))))[..., None, None]
+        value = (-1) ** k * coefficient(k) + squared * value
+    if not small.all():
+        value = np.where(small, value, closed(np.where(small, np.pi, theta)))
+    return np.asarray(value)[..., None, None]
 
 
 def _inverse_left_jacobian(w: Floats) -> Floats:
@@ -294,7 +301,7 @@ def _inverse_left_jacobian(w: Floats) -> Floats:
     return np.asarray(_UNIT - 0.5 * W + (0.5 * third - _fourth(theta)) / second * (W @ W))
 
 
-def _quaternion(R: Floats) -> Floats:
+def quaternion(R: Floats) -> Floats:
     """Unit quaternions (..., 4), real part first, of rotations (..., 3, 3)."""
     d = np.diagonal(R, axis1=-2, axis2=-1)
     trace = d.sum(axis=-1)

@@ -127,8 +127,8 @@ def test_lazy_faces_show_what_they_name(package: str) -> None:
     assert set(homes) <= set(face.__all__) <= set(dir(face))
     for one in face.__all__:
         assert getattr(face, one) is not None
-    with pytest.raises(AttributeError, match="no attribute 'estimate_poses'"):
-        face.estimate_poses  # noqa: B018 - the look-up itself is what fails
+    with pytest.raises(AttributeError, match="no attribute 'estimate_pause'"):
+        face.estimate_pause  # noqa: B018 - the look-up itself is what fails
 
 
 def test_version_is_stated_once() -> None:

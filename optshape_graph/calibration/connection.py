@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.consensus import CUT, Consensus, distances, relative_pose
+from optshape_graph.calibration.consensus import CUT, TIE, Consensus, distances, relative_pose
 from optshape_graph.errors import EstimationError, UnobservableError
 
 AMBIGUOUS = 4.0
@@ -98,7 +98,9 @@ def read(
             chosen.append((reading, number if own else int(j[0]), bool(squared[0] < CUT**2)))
             cost += min(float(squared[0]), CUT**2)
         readings.append((cost, T_base_target, chosen))
-    _, T_base_target, chosen = min(readings, key=lambda reading: reading[0])
+    # Where several fit alike, the target as its file has it: whatever it has of its own is in one place then.
+    least = min(cost for cost, _, _ in readings)
+    _, T_base_target, chosen = next(reading for reading in readings if reading[0] <= least + TIE)
     return T_base_target, chosen
 
 

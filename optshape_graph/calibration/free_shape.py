@@ -22,7 +22,7 @@ from optshape_graph.edges import extract_edge_points, with_top_and_bottom
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.plane_returns import plane_measurement, returns_on_plane
 from optshape_graph.plane import fit_plane
-from optshape_graph.pose import estimate_pose
+from optshape_graph.pose import PoseEstimate, estimate_poses
 from optshape_graph.pose.ends import Problem
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.propagation import posterior_step
@@ -159,14 +159,23 @@ def _prior(target: Target) -> Floats:
 
 def _with_crossing(scans: Sequence[Scan], target: Target) -> tuple[bool, list[tuple[Scan, Floats]]]:
     """Say whether the likelihoods speak for a correction of heights; the scans as they prefer, with T_target_lidar."""
-    plain = [estimate_pose(scan, target) for scan in scans]
+    plain = _posed(scans, target)
     if all(scan.sensor is None or scan.sensor.beam_crossing == 0 for scan in scans):
         return False, [(scan, estimate.T_target_lidar) for scan, estimate in zip(scans, plain, strict=True)]
     corrected = [_lowered(scan) for scan in scans]
-    lowered = [estimate_pose(scan, target) for scan in corrected]
+    lowered = _posed(corrected, target)
     gain = sum(b.log_likelihood - a.log_likelihood for a, b in zip(plain, lowered, strict=True))
     chosen, estimates = (corrected, lowered) if gain > 0 else (scans, plain)
     return gain > 0, [(scan, estimate.T_target_lidar) for scan, estimate in zip(chosen, estimates, strict=True)]
+
+
+def _posed(scans: Sequence[Scan], target: Target) -> list[PoseEstimate]:
+    """Estimate the pose in each scan; the first that has none raises its error."""
+    estimates = estimate_poses(scans, target)
+    failed = [one for one in estimates if isinstance(one, EstimationError)]
+    if failed:
+        raise failed[0]
+    return [one for one in estimates if isinstance(one, PoseEstimate)]
 
 
 def _lowered(scan: Scan) -> Scan:
@@ -208,7 +217,7 @@ def _free(scan: Scan, target: Target, T: Floats) -> tuple[Floats, Floats]:
         residual = geometry.residual[0] + x[0] * across
         inset, spread = problem.edges.middle, problem.edges.width**2 / 12
         step = posterior_step(
-            problem, geometry, precision[None], shift[None], J[None], residual[None], inset, spread, SWEEPS, settled=0.0
+            problem.ends, geometry, precision[None], shift[None], J[None], residual[None], inset, spread, SWEEPS
         )
         mean, covariance = step.mean[0], step.covariance[0]
         x = x + mean[6:]

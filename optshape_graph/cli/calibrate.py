@@ -11,7 +11,7 @@ import click
 from optshape_graph.cli.console import say, say_passed_over, warn
 from optshape_graph.cli.html_report import conclude
 from optshape_graph.cli.lazy import LazyGroup
-from optshape_graph.cli.options import Number
+from optshape_graph.cli.options import JSON_FILE, Number
 
 if TYPE_CHECKING:
     from optshape_graph.calibration.verdict import Calibration
@@ -46,7 +46,7 @@ def session_argument(function: Callable[..., Any]) -> Callable[..., Any]:
 def json_option(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--json FILE` to a command that keeps finished steps; it takes the value as `json_path`."""
     return click.option(
-        "--json", "json_path", type=click.Path(path_type=Path), help="Write the results to this file; until it is "
+        "--json", "json_path", type=JSON_FILE, help="Write the results to this file; until it is "
         "whole, what was found is kept in FILE.journal.",
     )(function)  # fmt: skip
 

@@ -25,6 +25,9 @@ _FILE_WIDTH = 160
 _PLAIN = str.maketrans({"±": "+-", "°": " deg", "∞": "inf", "…": "...", "·": "*", "²": "2", "μ": "u", "→": "->"})
 """Text for signs that a terminal without Unicode lacks."""
 
+TABLES_ASIDE = "optshape.tables_aside"
+"""What a click context knows where standard output is taken by JSON: tables and lines go to standard error."""
+
 SECONDS_BETWEEN = 60.0
 """Seconds between two lines of progress, if standard error is no terminal."""
 
@@ -36,7 +39,13 @@ def say(text: object, *, err: bool = False) -> None:
         text: the line, which may have names from data in it.
         err: print to standard error.
     """
+    err = err or _aside()
     click.echo(_for(sys.stderr if err else sys.stdout, shown(text)), err=err)
+
+
+def _aside() -> bool:
+    context = click.get_current_context(silent=True)
+    return context is not None and TABLES_ASIDE in context.meta
 
 
 def warn(text: object) -> None:
@@ -71,6 +80,8 @@ def print_table(
     from rich.console import Console
     from rich.table import Table
 
+    err = err or _aside()
+
     def cell(text: str) -> str:
         return _for(sys.stderr if err else sys.stdout, shown(text))
 
@@ -103,8 +114,10 @@ def print_transform(name: str, meaning: str, T: NDArray[np.float64], covariance:
     lines = ["  ".join(f"{value:10.6f}" for value in row) for row in T]
     rotation, translation = (" ".join(f"{value:.3g}" for value in part) for part in (np.degrees(sd[:3]), 1e3 * sd[3:]))
     say(f"{name}: {meaning}")
-    click.echo("\n".join(lines))
-    click.echo(f"  sd: rotation {rotation} deg, translation {translation} mm\n")
+    for line in lines:
+        say(line)
+    say(f"  sd: rotation {rotation} deg, translation {translation} mm")
+    say("")
 
 
 def terminal() -> bool:

@@ -10,14 +10,7 @@ import click
 
 from optshape_graph.cli.console import print_table, say
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import (
-    DISTANCE,
-    FILE,
-    Number,
-    example,
-    force_option,
-    seed_option,
-)
+from optshape_graph.cli.options import DISTANCE, FILE, JSON_FILE, Number, example, force_option, seed_option
 
 if TYPE_CHECKING:
     from optshape_graph.evaluation.choose import Choice, Trial
@@ -35,7 +28,7 @@ if TYPE_CHECKING:
 @click.option("--shape", "shapes", multiple=True, default=("pose-optimal",), show_default=True,
               help="Shape to choose from; several: the one that can be smallest.")  # fmt: skip
 @seed_option("Of the simulated scans.")
-@click.option("--json", "json_path", type=FILE, help="Write the numbers to this file.")
+@click.option("--json", "json_path", type=JSON_FILE, help="Write the numbers to this file.")
 @click.option("-o", "--output", type=FILE, help="Write the target to this file, and its drawing beside it, as PDF.")
 @report_option
 @force_option

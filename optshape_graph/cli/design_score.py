@@ -12,6 +12,7 @@ from optshape_graph.cli.console import print_table
 from optshape_graph.cli.options import (
     DISTANCE,
     FILE,
+    JSON_FILE,
     example,
     force_option,
 )
@@ -42,7 +43,7 @@ parallel edges, as on a square that stands upright: then the pose is undetermine
 @click.option("--range", "--distance", "distance", type=DISTANCE, default=10.0, show_default=True,
               help="Of the target from it, m.")  # fmt: skip
 @click.option("--plot", type=FILE, help="Write a plot that compares the shapes.")
-@click.option("-o", "--json", "--output", "output", type=FILE, help="Write the numbers to this file.")
+@click.option("-o", "--json", "--output", "output", type=JSON_FILE, help="Write the numbers to this file.")
 @force_option
 def command(
     shapes: tuple[str, ...], sensor: str, distance: float, plot: Path | None, output: Path | None, force: bool

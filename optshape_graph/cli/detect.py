@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from optshape_graph.cli.html_report import report_option
-from optshape_graph.cli.options import FILE, columns_option, example, force_option, pool_options, sensor_option
+from optshape_graph.cli.options import (
+    JSON_FILE,
+    columns_option,
+    example,
+    force_option,
+    pool_options,
+    sensor_option,
+)
 from optshape_graph.cli.plots import Draw, names_of, plot_option
 
 if TYPE_CHECKING:
@@ -35,8 +42,8 @@ MOST_REJECTED = 3
               help="Built-in name, NAME@AREA in m2, or target file; once for each target to look for.")  # fmt: skip
 @sensor_option
 @columns_option
-@click.option("--json", "json_path", type=FILE, help="Write the results to this file; until it is whole they are kept "
-              "in FILE.journal, from which the same command goes on.")  # fmt: skip
+@click.option("--json", "json_path", type=JSON_FILE, help="Write the results to this file (- is standard "
+              "output); until it is whole they are kept in FILE.journal, from which a rerun goes on.")  # fmt: skip
 @pool_options
 @force_option
 @report_option

@@ -9,7 +9,7 @@ import click
 
 from optshape_graph.cli.console import say
 from optshape_graph.cli.environment import CORE, PURPOSES, SYSTEM, Found
-from optshape_graph.cli.options import FILE, example, force_option
+from optshape_graph.cli.options import JSON_FILE, example, force_option
 
 PYTHON = ((3, 11), (3, 15))
 """The oldest Python that is supported, and the first that is not."""
@@ -37,7 +37,7 @@ class Check:
 
 
 @click.command(epilog=example("optshape doctor --json doctor.json"))
-@click.option("--json", "json_path", type=FILE, help="Write the report to this file.")
+@click.option("--json", "json_path", type=JSON_FILE, help="Write the report to this file.")
 @force_option
 def command(json_path: Path | None, force: bool) -> int:
     """Look at the installation: versions, system libraries, extras, and whether a known pose is found.

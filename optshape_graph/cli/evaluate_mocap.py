@@ -10,7 +10,7 @@ import click
 
 from optshape_graph.cli.console import say, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import FILE, FOLDER, example, force_option, outside_option
+from optshape_graph.cli.options import FILE, FOLDER, JSON_FILE, example, force_option, outside_option
 from optshape_graph.cli.plots import Pictures, plot_option
 
 OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "published_": "paper"}
@@ -22,7 +22,7 @@ OF = {"": "ours", "in_sample_": "in-sample", "reference_": "reference", "publish
 @click.option("--reference", type=FILE, metavar="FILE",
               help="Another method's estimates, to compare in the same way: JSON, 'session folder/scan' to an entry "
                    "with T_lidar_target_paper.")  # fmt: skip
-@click.option("--json", "json_path", type=FILE, help="Write the results to this file.")
+@click.option("--json", "json_path", type=JSON_FILE, help="Write the results to this file.")
 @click.option("-o", "--output", type=FOLDER, default=Path("evaluation"),
               show_default=True, help="Folder for the table.")  # fmt: skip
 @report_option

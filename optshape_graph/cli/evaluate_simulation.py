@@ -13,8 +13,8 @@ from optshape_graph.cli.html_report import conclude, report_option
 from optshape_graph.cli.options import (
     ANGLE,
     DISTANCE,
-    FILE,
     FOLDER,
+    JSON_FILE,
     Number,
     example,
     force_option,
@@ -63,7 +63,7 @@ PICTURES = ("errors.png", "errors.svg", "errors.pdf")
               show_default=True, help="Which rings those are.")  # fmt: skip
 @seed_option("Of everything random.")
 @pool_options
-@click.option("--json", "json_path", type=FILE, help="Write the numbers of every cell to this file.")
+@click.option("--json", "json_path", type=JSON_FILE, help="Write the numbers of every cell to this file.")
 @report_option
 @plot_format_option
 @force_option

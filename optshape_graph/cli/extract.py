@@ -159,7 +159,7 @@ def _estimated(recording: Recording, mocap: MocapRecording, body: tuple[str, ...
 
 def _camera(recording: Recording, file: Path | None, topic: str | None) -> tuple[Any, str | None]:
     """Return the intrinsics and the topic of images; if there are none, warn and return nothing."""
-    from optshape_graph import InputError
+    from optshape_graph.errors import InputError
     from optshape_graph.io import load_camera
 
     if topic is None and file is None and not any(t.kind == "image" for t in recording.topics):

@@ -8,13 +8,13 @@ from typing import Any
 import click
 
 from optshape_graph.cli.console import say, warn
-from optshape_graph.cli.options import FILE, example, force_option
+from optshape_graph.cli.options import JSON_FILE, example, force_option
 
 
 @click.command(epilog=example("optshape info drive.bag scan.pcd board.yaml"))
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
 @click.option("--columns", metavar="NAMES", help="Names of the columns, for a cloud without names: x,y,z,_,ring.")
-@click.option("--json", "json_path", type=FILE, help="Write the facts to this file.")
+@click.option("--json", "json_path", type=JSON_FILE, help="Write the facts to this file.")
 @force_option
 def command(files: tuple[Path, ...], columns: str | None, json_path: Path | None, force: bool) -> int:
     """Say what each FILE is: form, fields and units, rings, times, topics and spans, and the sensor it looks like.

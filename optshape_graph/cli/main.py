@@ -11,8 +11,9 @@ from typing import NoReturn
 
 import click
 
-import optshape_graph
+from optshape_graph._version import __version__
 from optshape_graph.cli.lazy import LazyGroup
+from optshape_graph.errors import OptshapeError
 from optshape_graph.names import shown
 from optshape_graph.runs.interruption import (
     Stopped,
@@ -68,7 +69,7 @@ LONGEST_MESSAGE = 2000
 @click.group(
     cls=LazyGroup, commands_at=COMMANDS, help_of=HELP, context_settings={"help_option_names": ["-h", "--help"]}
 )
-@click.version_option(optshape_graph.__version__, prog_name="optshape")
+@click.version_option(__version__, prog_name="optshape")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 @click.option("--profile", is_flag=True, help="Print at the end where the time went, on standard error.")
 @click.pass_context
@@ -132,7 +133,7 @@ def run(debug: bool) -> int:
     except (BrokenPipeError, SystemExit):  # click and rich exit for a broken pipe only
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the reader of the output has closed it
         sys.exit(0)
-    except (optshape_graph.OptshapeError, OSError) as error:
+    except (OptshapeError, OSError) as error:
         if debug:
             show_traceback(error)
         end(f"optshape: error: {reason(error)}", 2)

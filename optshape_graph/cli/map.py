@@ -12,7 +12,16 @@ import click
 
 from optshape_graph.cli.console import SECONDS_BETWEEN, say, say_passed_over, terminal, warn
 from optshape_graph.cli.html_report import conclude, report_option
-from optshape_graph.cli.options import FILE, POSITIVE, Number, example, force_option, outside_option, pool_options
+from optshape_graph.cli.options import (
+    FILE,
+    JSON_FILE,
+    POSITIVE,
+    Number,
+    example,
+    force_option,
+    outside_option,
+    pool_options,
+)
 from optshape_graph.cli.plots import Pictures, plot_option
 
 T = TypeVar("T")
@@ -72,7 +81,7 @@ class Offset(click.ParamType):  # type: ignore[type-arg]  # generic in newer ver
 @click.option("--as-built", type=Number(1e-6, 1.0), metavar="METRES",
               help="Refine the targets' vertices, which were built to this standard deviation.")  # fmt: skip
 @pool_options
-@click.option("--json", "json_file", type=FILE, help="Write the map (optshape/map/1); until it is whole, "
+@click.option("--json", "json_file", type=JSON_FILE, help="Write the map (optshape/map/1); until it is whole, "
               "what was seen is kept in FILE.journal, from which the same command goes on.")  # fmt: skip
 @click.option("--tum", "tum_file", type=FILE, help="Write the trajectory.")
 @click.option("--kitti", "kitti_file", type=FILE, help="Write the trajectory.")

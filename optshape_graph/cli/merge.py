@@ -9,12 +9,12 @@ import click
 from optshape_graph.cli.console import say
 from optshape_graph.cli.html_report import conclude, report_option
 from optshape_graph.cli.map import say_landmarks
-from optshape_graph.cli.options import FILE, example, force_option
+from optshape_graph.cli.options import FILE, JSON_FILE, example, force_option
 
 
 @click.command(epilog=example("optshape merge monday.json tuesday.json --json both.json"))
 @click.argument("maps", nargs=-1, type=FILE, metavar="MAP...")
-@click.option("--json", "json_file", type=FILE, required=True, help="Write the map (optshape/map/1).")
+@click.option("--json", "json_file", type=JSON_FILE, required=True, help="Write the map (optshape/map/1).")
 @report_option
 @force_option
 def command(maps: tuple[Path, ...], json_file: Path, html: Path | None, force: bool) -> int:

@@ -10,13 +10,37 @@ from typing import Any
 
 import click
 
+from optshape_graph.cli.console import TABLES_ASIDE
 from optshape_graph.runs.workers import Pool
 
 MOST_WORKERS = 1024
 MOST_SEED = 2**63 - 1
 """Largest seed: every program reads it from JSON unchanged."""
 
-FILE = click.Path(dir_okay=False, path_type=Path)
+
+class File(click.Path):
+    """A file by its name; `-` is none, but where JSON is written: standard output, and tables go to standard error.
+
+    Args:
+        standard_output: whether `-` means that.
+    """
+
+    def __init__(self, standard_output: bool = False) -> None:
+        super().__init__(dir_okay=False, path_type=Path)
+        self.standard_output = standard_output
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the file's path."""
+        if str(value) != "-":
+            return super().convert(value, param, ctx)
+        if not self.standard_output or ctx is None:
+            self.fail("expected the name of a file, found '-'", param, ctx)
+        ctx.meta[TABLES_ASIDE] = True
+        return Path("/dev/stdout")
+
+
+FILE = File()
+JSON_FILE = File(standard_output=True)
 
 
 class Folder(click.Path):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from optshape_graph.detection.candidates import Candidate, Size, grow
-from optshape_graph.detection.identify import PASSED_AT_FIRST, identify, rejection
+from optshape_graph.detection.identify import PASSED_AT_FIRST, fit_targets, identify, rejection
 from optshape_graph.detection.judge import not_stepped
 from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.detection.patches import find_patches
@@ -24,9 +24,9 @@ def detect_targets(scan: Scan, targets: Target | Sequence[Target], options: Dete
     """Find targets in a full scan, and tell them apart by shape.
 
     Rings are cut where the range jumps (`segments`). Segments in one plane make patches (`patches`), which grow to
-    all returns in their plane (`candidates`). A surface of about a target's area and spread is given to the pose
-    estimator, and each pose is judged by every ray near it (`judge`). The targets that pass compete by likelihood
-    (`identify`).
+    all returns in their plane (`candidates`). Surfaces of about a target's area and spread are given to the pose
+    estimator, all at once, and each pose is judged by every ray near it (`judge`). The targets that pass compete by
+    likelihood (`identify`).
 
     Args:
         scan: a full revolution, with rings. Its sensor, if known, gives azimuth step, noise and the table of rings.
@@ -47,10 +47,11 @@ def detect_targets(scan: Scan, targets: Target | Sequence[Target], options: Dete
     found: list[Detection] = []
     rejected: list[Rejection] = []
     taken = np.zeros(len(ordered), dtype=bool)
-    for candidate in _candidates(ordered, sizes, rejected):
+    candidates = _candidates(ordered, sizes, rejected)
+    for candidate, fitted in zip(candidates, fit_targets(scan, ordered, candidates, wanted, sizes), strict=True):
         if taken[candidate.rows].mean() > 0.5:
             continue
-        detection, others = identify(scan, ordered, candidate, wanted, sizes)
+        detection, others = identify(scan, ordered, candidate, fitted)
         rejected += others
         if detection is not None:
             taken[candidate.rows] = True

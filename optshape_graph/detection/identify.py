@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from optshape_graph.detection.outline import Boundary, OutlineFit, first_look, l
 from optshape_graph.detection.results import Detection, Evidence, Rejection
 from optshape_graph.detection.segments import OrderedScan, find_borders, ring_ends
 from optshape_graph.errors import EstimationError
-from optshape_graph.pose import PoseEstimate, estimate_pose
+from optshape_graph.pose import PoseEstimate, estimate_poses
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
@@ -43,7 +43,7 @@ _LOOK_SD = 0.005  # standard deviation of a place that a first look finds, metre
 
 
 def identify(
-    scan: Scan, ordered: OrderedScan, candidate: Candidate, targets: Sequence[Target], sizes: Sequence[Size]
+    scan: Scan, ordered: OrderedScan, candidate: Candidate, fitted: Sequence[tuple[Target, _Fit | _Misfit]]
 ) -> tuple[Detection | None, list[Rejection]]:
     """Find the target that a candidate is.
 
@@ -51,17 +51,14 @@ def identify(
         scan: the scan in which it was found.
         ordered: that scan, ordered.
         candidate: a surface.
-        targets: those it may be.
-        sizes: of each.
+        fitted: the targets that it may be, and how they fit; see `fit_targets`.
 
     Returns:
         The detection, if any, and the reasons why the candidate is not one of the other targets.
     """
     fits: list[_Fit] = []
     rejected: list[Rejection] = []
-    looks = _first_looks(ordered, candidate, targets, sizes)
-    for target, look in zip(targets, looks, strict=True):
-        fit = look if isinstance(look, _Misfit) else _fit(scan, ordered, candidate, look, target)
+    for target, fit in fitted:
         if isinstance(fit, _Misfit):
             rejected.append(rejection(candidate, fit.reason, fit.passed, target.name))
         else:
@@ -139,35 +136,100 @@ def _first_looks(
     return looks
 
 
-def _fit(scan: Scan, ordered: OrderedScan, candidate: Candidate, look: OutlineFit, target: Target) -> _Fit | _Misfit:
-    """Choose returns by the outline until their ring ends no longer change, and estimate their pose."""
-    rows, passed = _returns_at(ordered, target, look), PASSED_AT_FIRST + 1
+@dataclass(frozen=True, eq=False, repr=False)
+class _Suspect(Value):
+    """A target that a candidate may be, whose pose is asked for.
+
+    Attributes:
+        candidate: the surface.
+        target: the target.
+        rows: (N,) of the ordered scan, taken for the target's returns.
+    """
+
+    candidate: Candidate
+    target: Target
+    rows: Ints
+
+
+def fit_targets(
+    scan: Scan, ordered: OrderedScan, candidates: Sequence[Candidate], targets: Sequence[Target], sizes: Sequence[Size]
+) -> list[list[tuple[Target, _Fit | _Misfit]]]:
+    """Fit each target to each candidate that it may be, all poses at once.
+
+    Args:
+        scan: what they were found in.
+        ordered: the same, ordered.
+        candidates: surfaces.
+        targets: those they may be.
+        sizes: of each target.
+
+    Returns:
+        For each candidate the targets, and how they fit or why not.
+    """
+    asked = [
+        (target, look if isinstance(look, _Misfit) else _suspect(ordered, candidate, look, target))
+        for candidate in candidates
+        for target, look in zip(targets, _first_looks(ordered, candidate, targets, sizes), strict=True)
+    ]
+    posed = iter(_posed(scan, ordered, [one for _, one in asked if isinstance(one, _Suspect)]))
+    fits = [(target, next(posed) if isinstance(one, _Suspect) else one) for target, one in asked]
+    return [fits[k : k + len(targets)] for k in range(0, len(fits), len(targets))]
+
+
+def _suspect(ordered: OrderedScan, candidate: Candidate, look: OutlineFit, target: Target) -> _Suspect | _Misfit:
+    """Choose a target's returns by its outline, until their rings end where they did."""
+    rows = _returns_at(ordered, target, look)
     for _ in range(ordered.options.rounds):
         if len(rows) == 0:
-            return _Misfit("none of its returns lies inside the outline laid over it", passed)
+            break
         ends, hidden = ring_ends(ordered, rows), find_borders(ordered, rows).hidden
         look = look_again(Boundary.of(ordered, rows, candidate.plane, hidden), target, look.T_lidar_target)
         rows = _returns_at(ordered, target, look)
         if np.array_equal(ring_ends(ordered, rows), ends):
             break
-    for _ in range(max(ordered.options.rounds, 1)):
-        try:
-            estimate = estimate_pose(scan.select(ordered.index[rows]), target, options=ordered.options.pose)
-        except EstimationError as error:
-            return _Misfit(str(error), passed)
-        margin = edge_margin(ordered, target, estimate.T_lidar_target, outline_error(estimate))
-        again = returns_of(ordered, target, estimate.T_lidar_target, margin)
-        if estimate.status != "failed" or estimate.unobservable or len(again) == 0 or np.array_equal(again, rows):
+    if len(rows) == 0:
+        return _Misfit("none of its returns lies inside the outline laid over it", PASSED_AT_FIRST + 1)
+    return _Suspect(candidate, target, rows)
+
+
+def _posed(scan: Scan, ordered: OrderedScan, suspects: Sequence[_Suspect]) -> list[_Fit | _Misfit]:
+    """Estimate the poses of suspects, all at once, and judge them.
+
+    Near a rim that blooms, what a pose that fails takes for the target's own may suit it better: those are tried again.
+    """
+    found: dict[int, _Fit | _Misfit] = {}
+    left = dict(enumerate(suspects))
+    for number in reversed(range(max(ordered.options.rounds, 1))):
+        returns = [scan.select(ordered.index[suspect.rows]) for suspect in left.values()]
+        wanted = [suspect.target for suspect in left.values()]
+        estimates = estimate_poses(returns, wanted, options=ordered.options.pose)
+        again: dict[int, _Suspect] = {}
+        for (k, suspect), estimate in zip(left.items(), estimates, strict=True):
+            if isinstance(estimate, EstimationError):
+                found[k] = _Misfit(str(estimate), PASSED_AT_FIRST + 1)
+                continue
+            margin = edge_margin(ordered, suspect.target, estimate.T_lidar_target, outline_error(estimate))
+            # A pose that is not determined is no objection to the target being there.
+            if estimate.status == "failed" and not estimate.unobservable:
+                rows = returns_of(ordered, suspect.target, estimate.T_lidar_target, margin)
+                if number and len(rows) and not np.array_equal(rows, suspect.rows):
+                    again[k] = replace(suspect, rows=rows)
+                found[k] = _Misfit(estimate.reason, PASSED_AT_FIRST + 1)
+            else:
+                found[k] = _judged(ordered, suspect, estimate, margin)
+        left = again
+        if not left:
             break
-        rows = again  # near a rim that blooms, the returns chosen by the pose may fit it better
-    # The target may be there even if its pose is not determined.
-    if estimate.status == "failed" and not estimate.unobservable:
-        return _Misfit(estimate.reason, passed)
-    evidence = judge(ordered, candidate, rows, estimate, margin)
+    return [found[k] for k in range(len(suspects))]
+
+
+def _judged(ordered: OrderedScan, suspect: _Suspect, estimate: PoseEstimate, margin: float) -> _Fit | _Misfit:
+    """Ask all rays about a pose."""
+    evidence = judge(ordered, suspect.candidate, suspect.rows, estimate, margin)
     against = objections(evidence, ordered.options.least_evidence)
     if against:
-        return _Misfit("; ".join(against), passed + 1 + len(fields(evidence)) - len(against))
-    return _Fit(rows, estimate, evidence)
+        return _Misfit("; ".join(against), PASSED_AT_FIRST + 2 + len(fields(evidence)) - len(against))
+    return _Fit(suspect.rows, estimate, evidence)
 
 
 def _returns_at(ordered: OrderedScan, target: Target, look: OutlineFit) -> Ints:
@@ -187,6 +249,5 @@ def _likelihoods(scan: Scan, ordered: OrderedScan, fits: Sequence[_Fit]) -> Floa
     for fit in fits[1:]:
         common = np.intersect1d(common, fit.rows)
     returns = scan.select(ordered.index[common])
-    return np.array(
-        [estimate_pose(returns, fit.estimate.target, options=ordered.options.pose).log_likelihood for fit in fits]
-    )
+    again = estimate_poses([returns] * len(fits), [fit.estimate.target for fit in fits], options=ordered.options.pose)
+    return np.array([-np.inf if isinstance(one, EstimationError) else one.log_likelihood for one in again])

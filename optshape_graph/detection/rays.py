@@ -69,4 +69,4 @@ def _cross(points: Floats, sensor: Floats, ranges: Floats, radius: float) -> tup
     ahead = rays[:, 0] > _STEEP * ranges
     scale = -sensor[0] / np.where(ahead, rays[:, 0], 1.0)
     crossing = sensor[1:] + scale[:, None] * rays[:, 1:]
-    return crossing, ahead & ((crossing**2).sum(axis=1) < radius**2)
+    return crossing, ahead & (np.einsum("ni,ni->n", crossing, crossing) < radius**2)

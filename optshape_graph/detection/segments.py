@@ -83,6 +83,10 @@ class OrderedScan(Value):
         """(N,) ascending: by ring, then azimuth."""
         return _position(self.ring, self.azimuth)
 
+    @cached_property
+    def _rows(self) -> Ints:
+        return np.arange(len(self))
+
     def band(self, plane_normal: Floats, centre: Floats) -> float:
         """Return the largest distance of a plane's own returns from it, metres.
 
@@ -98,7 +102,8 @@ class OrderedScan(Value):
     def near(self, centre: Floats, reach: float) -> Ints:
         """Return the rows of the returns within `reach` of a point (3,), metres, ascending."""
         rows = self._window(centre, reach)
-        return np.asarray(rows[((self.points[rows] - centre) ** 2).sum(axis=1) < reach**2])
+        off = self.points[rows] - centre
+        return np.asarray(rows[np.einsum("ni,ni->n", off, off) < reach**2])
 
     def toward(self, centre: Floats, reach: float) -> Ints:
         """Return the rows of the returns whose rays pass within `reach` of a point (3,), metres, ascending."""
@@ -111,7 +116,7 @@ class OrderedScan(Value):
     def _window(self, centre: Floats, reach: float) -> Ints:
         """Return the rows of returns with the azimuths of points within `reach` of a point, ring by ring."""
         away = float(np.hypot(centre[0], centre[1]))
-        rows = np.arange(len(self))
+        rows = self._rows
         if reach >= away:
             return rows
         middle, half = np.arctan2(centre[1], centre[0]), np.arcsin(reach / away) + 1e-9

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
-import optshape_graph
 from optshape_graph._arrays import Bools, Floats, Value
+from optshape_graph._version import __version__
 from optshape_graph.design.bound import covariance_bound
 from optshape_graph.design.family import Family
 from optshape_graph.design.judgement import DEGREE, worst_cell
@@ -21,7 +21,7 @@ from optshape_graph.design.problem import Problem, orientations, random_paramete
 from optshape_graph.design.rings import UniformRings
 from optshape_graph.errors import EstimationError
 from optshape_graph.evaluation.harness import Progress, Row, run_tasks
-from optshape_graph.pose import estimate_pose
+from optshape_graph.pose import estimate_poses
 from optshape_graph.runs.workers import Pool
 from optshape_graph.se3 import rotation, rotation_vector, transform
 from optshape_graph.sensor import SensorModel
@@ -172,7 +172,7 @@ def study_shapes(
     """
     describe = {
         "kind": "shape study",
-        "version": optshape_graph.__version__,
+        "version": __version__,
         "sensor": asdict(sensor),
         "placements": placements,
         "seed": seed,
@@ -190,12 +190,13 @@ def _trials(sensor: SensorModel, placements: Floats, seed: int, item: tuple[int,
     """Return one row for each placement; None stands for an infinite bound and for a missing estimate."""
     index, target = item
     noise, rows = NoiseModel.of(sensor), []
-    for number, T in enumerate(placements):
-        scan = simulate_target(target, sensor, T, noise=noise, rng=np.random.default_rng([seed, index, number]))
+    scans = [
+        simulate_target(target, sensor, T, noise=noise, rng=np.random.default_rng([seed, index, number]))
+        for number, T in enumerate(placements)
+    ]
+    for number, (T, estimate) in enumerate(zip(placements, estimate_poses(scans, target), strict=True)):
         bound = float(np.sqrt(np.trace(covariance_bound(target, sensor, T)[:3, :3])))
-        try:
-            estimate = estimate_pose(scan, target)
-        except EstimationError:
+        if isinstance(estimate, EstimationError):
             error, status = None, "failed"
         else:
             nearest = target.nearest_equivalent(estimate.T_lidar_target, T)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -10,14 +10,14 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-import optshape_graph
 from optshape_graph._arrays import Floats, Value
+from optshape_graph._version import __version__
 from optshape_graph.design.bound import covariance_bound
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.evaluation.harness import Progress, Row, run_tasks
 from optshape_graph.evaluation.metrics import normalised_error, pose_error, quantisation_error, vertex_jacobian
 from optshape_graph.evaluation.tables import Table
-from optshape_graph.pose import estimate_pose
+from optshape_graph.pose import estimate_poses
 from optshape_graph.runs.workers import Pool
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
@@ -109,7 +109,7 @@ class SimulationSweep(Value):
         """Return all settings that decide the results, as plain data."""
         sensor = self.model
         return {
-            "version": optshape_graph.__version__,
+            "version": __version__,
             "target": {"name": self.target.name, "vertices": self.target.vertices.tolist()},
             "sensor": {
                 "name": sensor.name,
@@ -147,7 +147,7 @@ class SweepTask(Value):
         distance: metres.
         cell: number of the cell.
         draws: numbers of the draws.
-        estimator: makes the estimates.
+        estimator: how to estimate; None: by `estimate_poses`.
     """
 
     sweep: SimulationSweep
@@ -156,7 +156,7 @@ class SweepTask(Value):
     distance: float
     cell: int
     draws: range
-    estimator: Estimator
+    estimator: Estimator | None
 
 
 def run_simulation(
@@ -174,13 +174,12 @@ def run_simulation(
         folder: for finished tasks, where a killed sweep goes on.
         pool: the workers; None: this process.
         progress: called as tasks finish.
-        estimator: in place of `estimate_pose`; importable by name.
+        estimator: in place of `estimate_poses`, of one scan; importable by name.
 
     Raises:
         InputError: the folder holds another sweep (see `run_tasks`).
         MissingExtraError: Dask is asked for, and absent.
     """
-    estimator = estimate_pose_by_method if estimator is None else estimator
     cells = list(product(sweep.noise, sweep.orientations, sweep.distances))
     tasks = [
         SweepTask(sweep, noise, orientation, distance, cell, draws, estimator)
@@ -190,21 +189,38 @@ def run_simulation(
     return Table(run_tasks(run_task, tasks, folder, sweep.describe(), pool=pool, progress=progress))
 
 
-def estimate_pose_by_method(scan: Scan, target: Target, method: str) -> Estimate:
-    """Call `estimate_pose` with the method as its third argument."""
-    return estimate_pose(scan, target, method=method)  # type: ignore[arg-type]  # a Method
-
-
 def run_task(task: SweepTask) -> list[Row]:
-    """Simulate and estimate the draws of a task; return one row for each draw and method."""
-    return [row for draw in task.draws for row in _run_draw(task, draw)]
+    """Simulate and estimate the draws of a task: one row per draw and method."""
+    drawn = [_draw(task, draw) for draw in task.draws]
+    scans = [scan for scan, _, _ in drawn]
+    estimates = [_estimated(task, scans, method) for method in task.sweep.methods]
+    return [
+        {"method": method, **common, **_judge(one[k], task.sweep.target, T_true)}
+        for k, (_, T_true, common) in enumerate(drawn)
+        for method, one in zip(task.sweep.methods, estimates, strict=True)
+    ]
+
+
+def _estimated(task: SweepTask, scans: Sequence[Scan], method: str) -> Sequence[Estimate | EstimationError]:
+    """Estimate the scans of a task by a method."""
+    target, estimator = task.sweep.target, task.estimator
+    if estimator is None:
+        return estimate_poses(scans, target, method)  # type: ignore[arg-type]  # a Method
+    estimates: list[Estimate | EstimationError] = []
+    for scan in scans:
+        try:
+            estimates.append(estimator(scan, target, method))
+        except EstimationError as error:
+            estimates.append(error)
+    return estimates
 
 
 def _blocks(draws: int) -> list[range]:
     return [range(start, min(start + SCANS_PER_TASK, draws)) for start in range(0, draws, SCANS_PER_TASK)]
 
 
-def _run_draw(task: SweepTask, draw: int) -> list[Row]:
+def _draw(task: SweepTask, draw: int) -> tuple[Scan, Floats, Row]:
+    """Simulate a draw: the scan, the true pose (4, 4), and the columns that all methods share."""
     sweep, target = task.sweep, task.sweep.target
     rng = np.random.default_rng(np.random.SeedSequence(sweep.seed, spawn_key=(task.cell, draw)))
     noise, sensor = _noise_and_sensor(sweep, task.noise)
@@ -229,20 +245,16 @@ def _run_draw(task: SweepTask, draw: int) -> list[Row]:
         "bound_e_t_m": _finite(np.sqrt(np.trace(bound[3:, 3:]))),
         "bound_e_r_deg": _finite(np.degrees(np.sqrt(np.trace(bound[:3, :3])))),
     }
-    return [
-        {"method": method, **common, **_judge(task.estimator, scan, target, method, T_true)} for method in sweep.methods
-    ]
+    return scan, T_true, common
 
 
-def _judge(estimator: Estimator, scan: Scan, target: Target, method: str, T_true: Floats) -> Row:
-    """Return the columns of one estimate; None for missing values."""
+def _judge(estimate: Estimate | EstimationError, target: Target, T_true: Floats) -> Row:
+    """Columns of one estimate; None where there is none."""
     names = ["rmse_m", "rmse_pct", "e_t_m", "e_t_pct", "e_r_deg", "nees"]
     names += [f"error_{axis}" for axis in AXES] + [f"sigma_{axis}" for axis in AXES]
     names += [f"vertex{k}_nees" for k in range(len(target))]
-    try:
-        estimate = estimator(scan, target, method)
-    except EstimationError as error:
-        return {"status": "failed", "reason": str(error), **dict.fromkeys(names)}
+    if isinstance(estimate, EstimationError):
+        return {"status": "failed", "reason": str(estimate), **dict.fromkeys(names)}
     errors = pose_error(target, estimate.T_lidar_target, T_true)
     normalised = normalised_error(target, estimate.T_lidar_target, estimate.covariance, T_true)
     values = [errors.rmse, errors.rmse_pct, errors.e_t, errors.e_t_pct, np.degrees(errors.e_r), normalised.nees]

@@ -75,6 +75,10 @@ def kind_of(document: Mapping[str, Any]) -> str:
     return str(document.get("schema", "")).removeprefix("optshape/").partition("/")[0]
 
 
+def _counted(count: int, one: str, more: str) -> str:
+    return f"{count} {one if count == 1 else more}"
+
+
 def _estimate(document: Mapping[str, Any]) -> Verdict:
     scans = document["scans"]
     ok = [scan for scan in scans if scan["status"] == "ok"]
@@ -92,7 +96,8 @@ def _estimate(document: Mapping[str, Any]) -> Verdict:
     counted = [scan for scan in scans if scan["status"] != "ok" and scan["n_returns"] is not None]
     few = [scan for scan in counted if scan["n_returns"] < FEW_RETURNS]
     if few:
-        advice.append(f"{len(few)} scans have fewer than {FEW_RETURNS} returns: nearer, or a larger target")
+        have = _counted(len(few), "scan has", "scans have")
+        advice.append(f"{have} fewer than {FEW_RETURNS} returns: nearer, or a larger target")
     if any(scan["status"] == "ambiguous" for scan in scans):
         advice.append("where a scan is ambiguous take a nearer one, a less symmetric target, or add scans of the place")
     return _of_share(len(ok), len(scans), "scans have a pose to be relied on", sizes, advice)
@@ -114,11 +119,18 @@ def _detect(document: Mapping[str, Any]) -> Verdict:
         said = f" (mostly rejected: {why.most_common(1)[0][0]})" if why else ""
         advice.append(f"nothing was found in {len(empty)} of {len(scans)} scans{said}")
     if len(ok) < len(found):
-        advice.append(f"{len(found) - len(ok)} targets are doubtful: their reasons are in the table")
+        doubtful = _counted(
+            len(found) - len(ok), "target is doubtful: its reason is", "targets are doubtful: their reasons are"
+        )
+        advice.append(f"{doubtful} in the table")
     if not found:
-        return Verdict("Not usable", f"no target was found in {len(scans)} scans", tuple(advice))
+        return Verdict("Not usable", f"no target was found in {_counted(len(scans), 'scan', 'scans')}", tuple(advice))
     return _of_share(
-        len(ok), len(found), f"targets found in {len(scans)} scans are to be relied on", _sizes(ok), advice
+        len(ok),
+        len(found),
+        f"targets found in {_counted(len(scans), 'scan', 'scans')} are to be relied on",
+        _sizes(ok),
+        advice,
     )
 
 

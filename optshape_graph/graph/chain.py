@@ -7,7 +7,7 @@ perturbation xi of the variable moves H by Ad(Q_j^-1) xi, and where it stands in
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
@@ -131,6 +131,13 @@ class Chains:
             state: where.
         """
         found: list[list[Floats]] = [[] for _ in self.keys]
+        for rows, _, columns in self.blocks(R, state):
+            for n, blocks in zip(rows.tolist(), zip(*columns, strict=True), strict=False):
+                found[n] = list(blocks)
+        return found
+
+    def blocks(self, R: Floats, state: State) -> Iterator[tuple[Ints, list[Ints], list[Floats]]]:
+        """Yield the same by kinds of chains: numbers (k,) of the chains, keys and blocks (k, n, 6) of each variable."""
         for alike in self._alike:
             own, columns = R[alike.rows], []
             behind: Floats | None = None  # Q_j; None: the identity
@@ -141,9 +148,8 @@ class Chains:
                 elif kind == "I":
                     columns.append(-own @ adjoint(inverse(ahead)))
                 behind = ahead
-            for n, blocks in zip(alike.rows.tolist(), zip(*reversed(columns), strict=True), strict=False):
-                found[n] = list(blocks)
-        return found
+            keys = [keys for kind, keys in zip(alike.kinds, alike.keys, strict=True) if kind != "K"]
+            yield alike.rows, keys, columns[::-1]
 
 
 def _parts(alike: _Alike, state: State) -> list[Floats]:

@@ -160,15 +160,19 @@ class SharedErrorsModel(Value):
             add_rows(linear, [key], [rows[:, : len(errors)]], -rows[:, -1])
 
 
-def gain(measurement: BiasedMeasurement, T_target_lidar: Floats, own: Sequence[SharedError]) -> Floats:
+def gain(
+    measurement: BiasedMeasurement, T_target_lidar: Floats, own: Sequence[SharedError], weight: float = 1.0
+) -> Floats:
     """Return what errors add to a measurement's information vector where each measurement takes them for its own.
 
-    With B their columns, J those of everything else and W the inverse of I + B B^T, it is J^T W B.
+    With B their columns, J those of everything else and W the inverse of I + B B^T, it is J^T W B, times the weight
+    that a robust loss gives the measurement.
 
     Args:
         measurement: linear in the errors.
         T_target_lidar: (4, 4) pose of linearisation.
         own: c of the measurement's errors.
+        weight: 0 to 1.
 
     Returns:
         (6 + s, c) matrix, by the right perturbation of the pose, then by the s other errors in their order.
@@ -177,7 +181,7 @@ def gain(measurement: BiasedMeasurement, T_target_lidar: Floats, own: Sequence[S
     taken = np.array([error in own for error in measurement.shared], bool)
     B, others = measurement.stack[:, :k][:, taken], measurement.stack[:, :k][:, ~taken]
     J = np.hstack([measurement.stack[:, k:-1] @ vec_derivative(T_target_lidar), others])
-    return np.asarray(J.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, B))
+    return np.asarray(weight * (J.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, B)))
 
 
 class Gain(NamedTuple):

@@ -17,8 +17,11 @@ MAX_ITERATIONS = 50
 """Steps at most."""
 
 CONVERGED = 1e-4
-"""Decrease of the cost, in half a chi-square, promised by a step that is the last one: about a hundredth of a standard
-deviation, and what is left after it is far less."""
+"""Decrease of the cost, in half a chi-square, that is left after the last step: a hundredth of a standard deviation."""
+
+FASTEST = 0.05
+"""Ratio of what a step promises to what the one before did, that is not relied on to go on: Gauss-Newton steps often
+shrink far faster, but for robust weights, which follow a step behind."""
 
 ROUNDING = 1e-12
 """Relative rise of the cost that is rounding."""
@@ -58,7 +61,7 @@ def solve(
     _check(others, values)
     state = State.of(values)
     models = [term.at(state) for term in terms]
-    error, damping, iterations, converged = _error(models, others, state), 0.0, 0, False
+    error, damping, iterations, converged, before = _error(models, others, state), 0.0, 0, False, 0.0
     if not np.isfinite(error):
         raise EstimationError(f"the cost of the initial values is {error}: a measurement or factor is not finite there")
     ordering: gtsam.Ordering | None = None  # what links what stays the same
@@ -79,7 +82,9 @@ def solve(
             damping = max(LEAST_DAMPING, 10 * damping)
             if damping > MOST_DAMPING:
                 return Solution(state, models, others, error, False, iterations, dict(names or {}))
-        converged = _promised(linear, step) < CONVERGED and damping <= SLIGHT_DAMPING
+        promised = _promised(linear, step)
+        shrinks = min(max(promised / before, FASTEST), 1.0) if before else 1.0
+        converged, before = promised * shrinks < CONVERGED and damping <= SLIGHT_DAMPING, promised
         state, models, error = moved, lower, cost
         damping = damping / 10 if damping > 10 * LEAST_DAMPING else 0.0
         iterations += 1
@@ -119,12 +124,11 @@ def _step(
 def _check(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
     if values.size() == 0:
         raise InputError("every pose is known: there is nothing to solve for")
+    missing = [key for key in factors.keyVector() if not values.exists(key)]
+    if missing:
+        raise InputError(f"no initial value for variable {gtsam.DefaultKeyFormatter(missing[0])}")
     for factor in (factors.at(i) for i in range(factors.size())):
-        keys = list(factor.keys())
-        missing = [key for key in keys if not values.exists(key)]
-        if missing:
-            raise InputError(f"no initial value for variable {gtsam.DefaultKeyFormatter(missing[0])}")
         noise = factor.noiseModel() if isinstance(factor, gtsam.NoiseModelFactor) else None
         if noise is not None and noise.isConstrained():
-            names = ", ".join(gtsam.DefaultKeyFormatter(key) for key in keys)
+            names = ", ".join(gtsam.DefaultKeyFormatter(key) for key in factor.keys())  # noqa: SIM118 - not a mapping
             raise InputError(f"hard constraint on {names}: give it a small standard deviation instead")

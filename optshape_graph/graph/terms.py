@@ -131,13 +131,15 @@ class TemplatesModel(Value):
     def add_to(self, linear: gtsam.GaussianFactorGraph) -> None:
         """Add the linearisation to a graph."""
         root = np.sqrt(self.weight)
-        blocks = self.chains.derivatives(self.R * root[:, None, None], self.state)
         unit, right = _unit(6), -self.d * root[:, None]
-        for keys, by, d in zip(self.chains.keys, blocks, right, strict=True):
-            if len(keys) == 2 and keys[0] != keys[1]:  # nearly all: a sensor and a target
-                linear.add(keys[0], by[0], keys[1], by[1], d, unit)
+        for rows, keys, blocks in self.chains.blocks(self.R * root[:, None, None], self.state):
+            if len(keys) == 2 and not (keys[0] == keys[1]).any():  # nearly all: a sensor and a target
+                one, other = (own.tolist() for own in keys)
+                for i, A, j, B, d in zip(one, blocks[0], other, blocks[1], right[rows], strict=True):
+                    linear.add(i, A, j, B, d, unit)
             else:
-                add_rows(linear, keys, by, d)
+                for n, *by in zip(rows.tolist(), *blocks, strict=True):
+                    add_rows(linear, self.chains.keys[n], by, right[n])
 
 
 @dataclass(frozen=True, eq=False, repr=False)

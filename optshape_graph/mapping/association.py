@@ -107,7 +107,7 @@ def distance(residual: Floats, jacobian: Floats, covariance: Floats) -> tuple[fl
 
 
 def plain(pairings: Sequence[Pairing], n_sightings: int, motion: Floats) -> list[Pairing | None] | None:
-    """Return the pairings if there is one for each sighting and the last motion's uncertainty alone explains it.
+    """Return the pairing of each sighting if there is one at most and the last motion's uncertainty alone explains it.
 
     The poses' own covariance can only make the distance smaller, so such a pairing passes the gate whatever that is,
     and it need not be asked for. None: it must be.
@@ -117,16 +117,18 @@ def plain(pairings: Sequence[Pairing], n_sightings: int, motion: Floats) -> list
         n_sightings: their number.
         motion: (6, 6) covariance of the odometry since the pose before.
     """
-    if len(pairings) != n_sightings or len({pairing.landmark for pairing in pairings}) < n_sightings:
-        return None
-    if [pairing.sighting for pairing in pairings] != list(range(n_sightings)):
-        return None
+    for one in ("landmark", "sighting"):
+        if len({getattr(pairing, one) for pairing in pairings}) < len(pairings):
+            return None
     residual = np.array([pairing.residual for pairing in pairings])
     J = np.array([pairing.jacobian[:, 6:] for pairing in pairings])
     S = J @ motion @ J.swapaxes(1, 2)
     S[:, range(6), range(6)] += 1.0
     d2 = (residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(axis=1)
-    return list(pairings) if d2.max() < gate(6) else None
+    if d2.max() > gate(6):
+        return None
+    of_sighting = {pairing.sighting: pairing for pairing in pairings}
+    return [of_sighting.get(k) for k in range(n_sightings)]
 
 
 def gated(pairings: Sequence[Pairing], covariance: Floats, order: Mapping[str, int]) -> list[Pairing]:

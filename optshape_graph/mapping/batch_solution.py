@@ -190,14 +190,15 @@ class BatchSolution(Value):
         system, numbers = self.solution.system, list(self.biased)
         matches = [self.problem.matches[k] for k in numbers]
         relative = Chains([self.keys.chain(t, match) for t, match in matches]).at(self.solution.state)
-        for (t, match), measurement, H in zip(matches, self.biased.values(), relative, strict=True):
+        weights = [self.residuals[k].weight for k in numbers]
+        for (t, match), measurement, H, weight in zip(matches, self.biased.values(), relative, weights, strict=True):
             own = [error for error in measurement.shared if error.kind != RANGE_BIAS]
-            G, key = gain(measurement, H, own), self.keys.biases[t, match.sighting.lidar]
+            G, key = gain(measurement, H, own, weight), self.keys.biases[t, match.sighting.lidar]
             ranges = [self.ranges[key].index(error) for error in measurement.shared if error.kind == RANGE_BIAS]
             target = system.index([self.keys.landmarks[match.landmark]])
             lidar = system.index([self.keys.poses[t][match.pose]])
             blocks = [(target, -adjoint(inverse(H)).T @ G[:6]), (lidar, G[:6]), (system.index([key])[ranges], G[6:])]
-            yield Gain(blocks, [(t, match.sighting.lidar, error) for error in own])
+            yield Gain(blocks, [match.kept(error, t) for error in own])
 
     def map(self) -> Map:
         """Return the map.

@@ -89,6 +89,8 @@ class Candidate:
             return False
         if (pose, sighting.lidar) in ((k, one.lidar) for k, one in self.sightings[-2:]):
             return False  # a LiDAR sees a thing once at a time
+        if not self._near(pose, sighting, graph):
+            return False
         distances = _disagreements(
             [first.summaries[choice[0]] for choice in self.choices],
             sighting.summaries,
@@ -102,6 +104,17 @@ class Candidate:
             choice.append(int(best))
         self.sightings.append((pose, sighting))
         return True
+
+    def _near(self, pose: int, sighting: Sighting, graph: IncrementalGraph) -> bool:
+        """Say whether odometry may have drifted by as much as a sighting seems to be off: its covariance costs more."""
+        first_pose, first = self.sightings[0]
+        before, now = (
+            graph.T_world_lidar(k) @ inverse(np.array([summary.T_target_lidar for summary in one.summaries]))
+            for k, one in ((first_pose, first), (pose, sighting))
+        )
+        distance = np.linalg.norm(now[:, :3, 3] - graph.T_world_lidar(pose)[:3, 3], axis=1).max()
+        apart = np.linalg.norm(before[:, None, :3, 3] - now[:, :3, 3], axis=2).min()
+        return bool(apart < graph.apart(first_pose, float(distance)) + 2.0 * first.target.circumradius)
 
     def resolved(self) -> list[int] | None:
         """Return the hypothesis of every sighting, or None while more than one way to take them is left."""
@@ -183,10 +196,11 @@ class Candidates:
     def _rivals(self, candidate: Candidate, T_world_target: Floats) -> list[str]:
         """Return the landmarks that cannot be true together with a new one: of its name, or in its place."""
         _, first = candidate.sightings[0]
-        rivals = []
-        for name, landmark in self._graph.landmarks.items():
-            apart = np.linalg.norm(self._graph.T_world_target(name)[:3, 3] - T_world_target[:3, 3])
-            if name == candidate.landmark or apart < min(landmark.target.circumradius, first.target.circumradius):
+        place, radius = T_world_target[:3, 3], first.target.circumradius
+        rivals = [candidate.landmark] if candidate.landmark in self._graph.landmarks else []
+        for name, T in self._graph.within(place, radius).items():
+            apart = np.linalg.norm(T[:3, 3] - place)
+            if name not in rivals and apart < min(self._graph.landmarks[name].target.circumradius, radius):
                 rivals.append(name)
         return rivals
 

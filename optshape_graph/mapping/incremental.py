@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 
@@ -17,15 +16,12 @@ from optshape_graph.mapping.candidates import SINGULAR, Candidates, Outcome, Ver
 from optshape_graph.mapping.incremental_graph import IncrementalGraph
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.track import MappingProblem, Match, Odometry, Sighting, Start, Track
-from optshape_graph.se3 import PoseLike, as_transform
+from optshape_graph.se3 import PoseLike, as_matrix
 
 __all__ = ["LandmarkSlam", "Outcome", "Verdict"]
 
 AT_THE_ORIGIN = Start(np.eye(4), 1e-8 * np.eye(6))
 """The world is the first pose's LiDAR frame."""
-
-NEAREST = 12
-"""How many landmarks a sighting without a name is compared with at most: those nearest to where it was seen."""
 
 LOOK_EVERY = 20
 """Every how many poses stale summaries are looked for."""
@@ -102,9 +98,8 @@ class LandmarkSlam:
             return len(self._poses)
         newest = len(self._poses)
         if T_previous_current is not None and covariance is not None and newest:
-            T = as_transform(T_previous_current, "odometry")
-            self._graph.begin(newest, stamp, Odometry(newest - 1, newest, T, covariance))
-            self._poses[-1] = self._graph.T_world_lidar(newest - 1)
+            odometry = Odometry(newest - 1, newest, as_matrix(T_previous_current), covariance)
+            self._poses[-1] = self._graph.begin(newest, stamp, odometry)
             self._poses.append(self._graph.T_world_lidar(newest))
         elif newest == 0 and self._start is not None:
             self._graph.add_start(self._start, stamp)
@@ -257,11 +252,4 @@ class LandmarkSlam:
         name = sighting.landmark
         if name is not None:
             return {name: self._graph.T_world_target(name)} if name in self._graph.landmarks else {}
-        poses = {
-            name: self._graph.T_world_target(name)
-            for name, landmark in self._graph.landmarks.items()
-            if landmark.target.name == sighting.target.name
-        }
-        seen_at = (T_world_lidar @ sighting.T_lidar_target())[:3, 3]
-        nearest = sorted(poses, key=lambda name: float(np.linalg.norm(poses[name][:3, 3] - seen_at)))
-        return {name: poses[name] for name in islice(nearest, NEAREST)}
+        return self._graph.near(sighting, T_world_lidar)

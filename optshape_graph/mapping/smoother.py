@@ -32,15 +32,17 @@ DETERMINED = 1e-7
 
 
 class Smoother:
-    """Incremental smoothing and mapping (Kaess et al., ISAM2, IJRR 2012) of everything, or of the latest poses.
+    """Incremental smoothing and mapping (Kaess et al., ISAM2, IJRR 2012) of poses, all of them or the latest.
 
     Attributes:
         lag: seconds after which a variable with a stamp is marginalised; None: never. What is marginalised stays in
             force as a prior on what is left.
+        worked: number of variables that updates have eliminated again: after so much work estimates may have moved.
     """
 
     def __init__(self, lag: float | None = None) -> None:
         self.lag = lag
+        self.worked = 0
         self._isam = _new_isam(lag)
         self._factors: dict[int, gtsam.NonlinearFactor] = {}  # by handle, which outlives ISAM2's slots
         self._slots: dict[int, int] = {}
@@ -57,7 +59,6 @@ class Smoother:
         remove: Iterable[int] = (),
         stamps: Mapping[int, float] | None = None,
         finite: bool = False,
-        force: bool = False,
     ) -> list[int]:
         """Add factors and variables, remove factors, and improve the estimate by one step.
 
@@ -67,7 +68,6 @@ class Smoother:
             remove: handles of factors to remove; those that a lag has marginalised are gone, and ignored.
             stamps: seconds, of the variables that the lag marginalises; the others stay for ever.
             finite: the factors are known to be finite, and their variables to be there: they are not looked at.
-            force: linearise again now what has moved.
 
         Returns:
             A handle for each new factor.
@@ -75,25 +75,56 @@ class Smoother:
         Raises:
             EstimationError: a factor is not finite, or the variables are not determined; nothing has changed then.
         """
+        if not finite:
+            self.check(factors, values)
         graph = gtsam.NonlinearFactorGraph()
         for factor in factors:
             graph.push_back(factor)
-        if not finite:
-            self._check(graph, values)
         removed = [handle for handle in remove if handle in self._factors]
         try:
             slots = [self._slots[handle] for handle in removed]
-            result = self._isam.update(graph, values, slots, force_relinearize=force)
+            result = self._isam.update(graph, values, slots)
         except RuntimeError as error:
             self._restore(values)
             raise EstimationError(f"the factors do not determine the variables: {error}") from error
         for handle in removed:
             del self._factors[handle], self._slots[handle]
+        self.worked += result.getVariablesReeliminated()
         handles = self._hold(factors, result.getNewFactorsIndices())
         if self.lag is not None:
             self._stamps.update(stamps or {})
             self._marginalise(self.lag)
         return handles
+
+    def check(self, factors: Sequence[gtsam.NonlinearFactor], values: gtsam.Values) -> None:
+        """Look at factors that are to be added, and at the variables that are new with them.
+
+        Raises:
+            EstimationError: a factor is not finite, or the factors leave a new variable open.
+        """
+        touched = gtsam.Values(values)
+        graph = gtsam.NonlinearFactorGraph()
+        for factor in factors:
+            graph.push_back(factor)
+        for key in graph.keyVector():
+            if not touched.exists(key):
+                if key not in self:
+                    raise EstimationError(f"no initial value for variable {gtsam.DefaultKeyFormatter(key)}")
+                touched.insert(key, self._isam.calculateEstimatePose3(key))
+        rows: dict[int, list[Floats]] = {key: [] for key in values.keys()}  # noqa: SIM118 - not a mapping
+        linear = graph.linearize(touched)
+        for linearised in (linear.at(i) for i in range(linear.size())):
+            augmented = linearised.augmentedJacobian()
+            if not math.isfinite(np.vdot(augmented, augmented)):
+                raise EstimationError("a new factor's residual or Jacobian is not finite")
+            for n, key in enumerate(linearised.keys()):
+                if key in rows:
+                    rows[key].append(augmented[:, 6 * n : 6 * n + 6])
+        # QR takes what is singular without a word.
+        for key, blocks in rows.items():
+            if not blocks or np.linalg.matrix_rank(np.vstack(blocks), rtol=DETERMINED) < 6:
+                name = gtsam.DefaultKeyFormatter(key)
+                raise EstimationError(f"the factors do not determine the variables: {name} is left open")
 
     def pose(self, key: int) -> Floats:
         """Return the estimate (4, 4) of a pose."""
@@ -122,25 +153,9 @@ class Smoother:
         self._slots.update(zip(handles, slots, strict=True))
         return handles
 
-    def _check(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-        touched = gtsam.Values(values)
-        for key in graph.keyVector():
-            if not touched.exists(key):
-                if key not in self:
-                    raise EstimationError(f"no initial value for variable {gtsam.DefaultKeyFormatter(key)}")
-                touched.insert(key, self._isam.calculateEstimatePose3(key))
-        if not graph.size():
-            return
-        try:
-            system = LinearSystem.of(graph.linearize(touched), touched)
-        except EstimationError as error:
-            raise EstimationError("a new factor's residual or Jacobian is not finite") from error
-        # QR takes what is singular without a word.
-        for key in values.keys():  # noqa: SIM118 - not a mapping
-            rows = system.A[:, system.columns[key]].toarray()
-            if np.linalg.matrix_rank(rows, rtol=DETERMINED) < rows.shape[1]:
-                name = gtsam.DefaultKeyFormatter(key)
-                raise EstimationError(f"the factors do not determine the variables: {name} is left open")
+    def relinearise(self) -> None:
+        """Linearise all factors at the estimate, and improve it by one step: as much work as a batch."""
+        self._make_again(self.values())
 
     def _restore(self, failed: gtsam.Values) -> None:
         """Make the smoother again from the factors it held, without the variables of a failed update."""
@@ -148,6 +163,9 @@ class Smoother:
         for key in failed.keys():  # noqa: SIM118 - not a mapping
             if values.exists(key):
                 values.erase(key)
+        self._make_again(values)
+
+    def _make_again(self, values: gtsam.Values) -> None:
         graph = gtsam.NonlinearFactorGraph()
         for factor in self._factors.values():
             graph.push_back(factor)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -13,10 +13,12 @@ from optshape_graph.errors import InputError
 from optshape_graph.factors import (
     BiasedMeasurement,
     ShapeMeasurement,
+    SharedError,
     Summary,
     TemplateMeasurement,
     summarise,
 )
+from optshape_graph.factors.static import OF_TARGET
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.smoother import root_of
 from optshape_graph.pose import PoseEstimate, PoseOptions
@@ -37,7 +39,7 @@ class Sighting(Value):
         landmark: which landmark it is, where that is known (a tag, a template of which there is one); None: it is to
             be found out, among those of the same template.
         shape: the same returns without the template, to refine the target's as-built vertices; None: not kept.
-        biased: the first measurement before the range biases that the LiDAR's rings keep are marginalised, in units of
+        biased: the first measurement before the errors that the LiDAR and the target keep are marginalised, in units of
             their standard deviations; None: not kept.
         lidar: name of the LiDAR, of several on one robot, whose biases those are.
 
@@ -73,19 +75,21 @@ class Sighting(Value):
             estimate: of the pose.
             landmark: which it is, where that is known.
             shape: of the same returns.
-            biases: whether to keep `biased`, so that a batch can tell what all scans have in common: some kilobytes.
+            biases: whether to keep `biased`, so that a map can tell what all scans have in common: some kilobytes.
+                Biases of ranges are then as large as the sensor file says, in all scans, also in those that show more.
 
         Raises:
             InputError: the estimate failed or is doubtful.
         """
         if not estimate.usable:
             raise InputError(f"the estimate of target '{estimate.target.name}' is {estimate.status}: {estimate.reason}")
-        best = estimate.measurement
+        kept = estimate.of_sensor_and_target if biases else None
+        best = estimate.measurement if kept is None else kept.of_one_scan().at(estimate.T_target_lidar)
         measurements: tuple[TemplateMeasurement, ...] = (best,)
         other = estimate.ambiguity.T_lidar_target
         if other is not None and estimate.ambiguity.margin < PoseOptions.ambiguity_margin:
             measurements = (best, best.substituted(best.T_target_lidar @ other))
-        return cls(estimate.target, measurements, landmark, shape, estimate.of_sensor if biases else None)
+        return cls(estimate.target, measurements, landmark, shape, kept)
 
     def moved(self, T_lidar_then: Floats, covariance: Floats | None = None) -> Sighting:
         """Return the sighting as one from another pose of the LiDAR.
@@ -205,8 +209,12 @@ class Match:
 
     @property
     def biased(self) -> BiasedMeasurement | None:
-        """The same before the biases of the LiDAR's rings are marginalised, where that is kept."""
+        """The same before the errors that the LiDAR and the target keep are marginalised, where that is kept."""
         return self.sighting.biased_as(self.hypothesis)
+
+    def kept(self, error: SharedError, track: int = 0) -> Hashable:
+        """Return a name of an error of `biased`: of the landmark in all tracks, or of the track's LiDAR."""
+        return (self.landmark, error) if error.kind in OF_TARGET else (track, self.sighting.lidar, error)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,7 +1,8 @@
-"""The pose of one target from its returns in one scan: find it by one of three doors, and conclude."""
+"""The pose of a target from its returns in a scan: find it by one of three doors, and conclude; of many at once."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -56,24 +57,78 @@ def estimate_pose(
     """
     expect("scan", scan, Scan)
     expect("target", target, Target)
+    (estimate,) = estimate_poses([scan], target, method, backend, options)
+    if isinstance(estimate, EstimationError):
+        raise estimate
+    return estimate
+
+
+def estimate_poses(
+    scans: Sequence[Scan],
+    targets: Target | Sequence[Target],
+    method: Method = "global",
+    backend: Backend = "closed-form",
+    options: PoseOptions = PoseOptions(),
+) -> list[PoseEstimate | EstimationError]:
+    """Estimate the pose of a target in each of B scans, faster than one by one.
+
+    What is said of a scan does not depend on the others, but for rounding.
+
+    Args:
+        scans: (B,) the returns on one target each, as for `estimate_pose`. They may be of different sensors.
+        targets: the template, or that of each scan (B,).
+        method: as for `estimate_pose`.
+        backend: as for `estimate_pose`.
+        options: assumptions and thresholds.
+
+    Returns:
+        For each scan the estimate; or the error, where the returns determine no pose at all.
+
+    Raises:
+        InputError: a method or a backend that does not exist, something else than scans, targets and options, or
+            another number of targets than of scans.
+    """
+    templates = [targets] * len(scans) if isinstance(targets, Target) else list(targets)
+    if len(templates) != len(scans):
+        raise InputError(f"{len(templates)} targets for {len(scans)} scans; expected one for all, or one for each")
+    for scan, target in zip(scans, templates, strict=True):
+        expect("scan", scan, Scan)
+        expect("target", target, Target)
     expect("options", options, PoseOptions)
     for name, value, choices in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
         if value not in choices:
             raise InputError(f"{name} is {value!r}; expected one of {', '.join(map(repr, choices))}")
-    scan, duplicates = without_duplicates(put_right(scan))
+    evidences = [_measured(*pair, method, options) for pair in zip(scans, templates, strict=True)]
+    ringed = [one for one in evidences if isinstance(one, Evidence) and one.scan.ring is not None and method != "paper"]
+    by_rings = iter(find_by_rings(ringed))
+    estimates: list[PoseEstimate | EstimationError] = []
+    for evidence in evidences:
+        if isinstance(evidence, EstimationError):
+            estimates.append(evidence)
+            continue
+        try:
+            if method == "paper":
+                found: Finding | EstimationError = find_as_paper(evidence, backend)
+            else:
+                found = find_by_containment(evidence) if evidence.scan.ring is None else next(by_rings)
+            estimates.append(found if isinstance(found, EstimationError) else conclude(found, backend))
+        except EstimationError as error:
+            estimates.append(error)
+    return estimates
+
+
+def _measured(scan: Scan, target: Target, method: Method, options: PoseOptions) -> Evidence | EstimationError:
+    """Put a scan right, and measure what is known of it whatever the pose."""
     if method == "paper" and scan.ring is None:
-        raise EstimationError(f"{scan.name}: edge points need rings, and the cloud has none")
-    evidence = measure(scan, target, options, as_recorded=method == "paper")
-    if method == "paper":
-        found = find_as_paper(evidence, backend)
-    elif scan.ring is None:
-        found = find_by_containment(evidence)
-    else:
-        found = find_by_rings(evidence)
-    return conclude(found, duplicates, backend)
+        return EstimationError(f"{scan.name}: edge points need rings, and the cloud has none")
+    try:
+        whole, duplicates = without_duplicates(put_right(scan))
+        return measure(whole, target, options, duplicates, as_recorded=method == "paper")
+    except EstimationError as error:
+        return error
 
 
-def conclude(found: Finding, duplicates: int, backend: Backend) -> PoseEstimate:
+def conclude(found: Finding, backend: Backend) -> PoseEstimate:
     """Certify what was found, judge it, and make the record: the same for every method."""
     evidence, measurement = found.evidence, found.measurement
     problem, options = evidence.problem, evidence.problem.options
@@ -82,7 +137,7 @@ def conclude(found: Finding, duplicates: int, backend: Backend) -> PoseEstimate:
     information = measurement.information() + 1e-9 * np.eye(6)
     covariance = inverse_covariance(T_target_lidar, np.linalg.inv(information))
     unobservable = unobservable_directions(covariance, problem.target.circumradius, options.unobservable_sd)
-    fit = measure_fit(found, duplicates)
+    fit = measure_fit(found)
     status, reason = _verdict(found, fit, covariance, unobservable)
     certificate = certify(found.exact, T_target_lidar, found.total_weight, backend, options.certified_gap)
     if status == "ok" and not certificate.certified:

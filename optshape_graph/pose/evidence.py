@@ -5,6 +5,7 @@ Every method begins with `measure` and ends with a `Finding`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from optshape_graph.factors.measurement import TemplateMeasurement
 from optshape_graph.factors.plane_returns import PlaneReturns, elevation_bands, plane_measurement, returns_on_plane
 from optshape_graph.factors.static import SURFACE, BiasedMeasurement, SharedError
 from optshape_graph.plane import ReturnsPlane, fit_plane
-from optshape_graph.pose.ends import SEEN, EndsFit, Problem
+from optshape_graph.pose.ends import SEEN, EndsFit, Problem, RingEnds
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.surface import PlaneResiduals, Surface
 from optshape_graph.scan import Scan
@@ -51,6 +52,7 @@ class Evidence(Value):
         on_plane: the returns of the plane, with noise and biases as large as they are seen, compressed.
         angular_noise: standard deviation of an angle, rad; 0 where angles are exact.
         tilt: how elevations vary with azimuth within rings, see `tilt_of_rings`; None without rings.
+        duplicates: exact copies of returns that were dropped.
     """
 
     scan: Scan
@@ -63,6 +65,7 @@ class Evidence(Value):
     on_plane: BiasedMeasurement
     angular_noise: float
     tilt: tuple[float, float] | None
+    duplicates: int = 0
 
     def displaced(self, measurement: BiasedMeasurement, T_target_lidar: Floats) -> BiasedMeasurement:
         """Let the plane that was fitted lie off the target's own.
@@ -116,13 +119,16 @@ class Evidence(Value):
         return np.asarray((beyond / np.sqrt(1.0 + mu**2)).max(axis=1) / self.reach(further))
 
 
-def measure(scan: Scan, target: Target, options: PoseOptions, as_recorded: bool = False) -> Evidence:
+def measure(
+    scan: Scan, target: Target, options: PoseOptions, duplicates: int = 0, as_recorded: bool = False
+) -> Evidence:
     """Find both ends of each ring and the plane of the returns, with their noise.
 
     Args:
         scan: the returns of one target.
         target: the template.
         options: assumptions about both.
+        duplicates: exact copies of returns that were dropped.
         as_recorded: leave the angles as they are, as the published method does.
 
     Raises:
@@ -146,9 +152,15 @@ def measure(scan: Scan, target: Target, options: PoseOptions, as_recorded: bool 
     on_plane = plane_measurement(seen.with_brightness(plane.axes[0], brightness_bias))
     problem = Problem(edges, target, on_plane.of_one_scan().quadratic(), Beam.of(scan.sensor), options, scan.sensor)
     bounded = problem if angular_noise else replace(problem, edges=_bounded(edges, scan))
+    surface = residuals.surface(SEEN)
     return Evidence(
-        scan, problem, bounded, plane, returns, residuals, residuals.surface(SEEN), on_plane, angular_noise, tilt
+        scan, problem, bounded, plane, returns, residuals, surface, on_plane, angular_noise, tilt, duplicates
     )
+
+
+def ends_of(evidences: Sequence[Evidence]) -> RingEnds:
+    """Return the bounded ring ends of scans whose targets have as many edges, side by side."""
+    return RingEnds.side_by_side([evidence.bounded.ends for evidence in evidences])
 
 
 def _bounded(edges: EdgePoints, scan: Scan) -> EdgePoints:

@@ -17,7 +17,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.gaussian import logsumexp
-from optshape_graph.se3 import inverse, rotation, transform, turns_between
+from optshape_graph.se3 import inverse, quaternion, rotation, transform, turns_between
 
 FREEDOM = 5.0
 """Degrees of freedom of the components: their tails are heavy."""
@@ -65,6 +65,25 @@ class Components(Value):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class Draws(Value):
+    """Poses that were drawn.
+
+    Attributes:
+        T: (S, 4, 4).
+        scalar: (S,) beside each, in its own unit.
+        quaternions: (S, K, 4) of unit length: rotations of T, and of what is the same by each symmetry.
+    """
+
+    T: Floats
+    scalar: Floats
+    quaternions: Floats
+
+    def __add__(self, other: Draws) -> Draws:
+        """Return both."""
+        return Draws(*(np.concatenate([getattr(one, name) for one in (self, other)]) for name in vars(self)))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Samples(Value):
     """Weighted poses.
 
@@ -97,21 +116,20 @@ def sample(log_density: LogDensity, components: Components, symmetries: Floats, 
         symmetries: (K, 4, 4) S; the identity alone where there is no other.
         rng: source of randomness.
     """
-    T, scalar, log_target = np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0)
+    drawn, log_target = Draws(np.zeros((0, 4, 4)), np.zeros(0), np.zeros((0, len(symmetries), 4))), np.zeros(0)
     rounds: list[Components] = []
     log_drawn = np.zeros((0, 0))  # of each round's components, at each sample
     for number in range(ROUNDS[1]):
-        new_T, new_scalar = _draw(components, rng)
-        before = [logsumexp(_log_components(old, new_T, new_scalar, symmetries)[0], axis=0) for old in rounds]
-        T, scalar = np.concatenate([T, new_T]), np.concatenate([scalar, new_scalar])
-        log_target = np.concatenate([log_target, log_density(new_T, new_scalar)])
+        new = _draw(components, symmetries, rng)
+        before = [logsumexp(_log_components(old, new)[0], axis=0) for old in rounds]
+        drawn, log_target = drawn + new, np.concatenate([log_target, log_density(new.T, new.scalar)])
         rounds.append(components)
-        logs, charts = _log_components(components, T, scalar, symmetries)
-        earlier = np.hstack([log_drawn, np.reshape(before, (number, len(new_T)))])
+        logs, charts = _log_components(components, drawn)
+        earlier = np.hstack([log_drawn, np.reshape(before, (number, len(new.T)))])
         log_drawn = np.vstack([earlier, logsumexp(logs, axis=0)])
         log_weight = log_target - (logsumexp(log_drawn, axis=0) - np.log(len(rounds)))
         total = float(logsumexp(log_weight))
-        samples = Samples(T, scalar, np.exp(log_weight - total), total - np.log(len(T)))
+        samples = Samples(drawn.T, drawn.scalar, np.exp(log_weight - total), total - np.log(len(drawn.T)))
         if number + 1 >= ROUNDS[0] and samples.effective > ENOUGH:
             break
         share = np.exp(logs - log_drawn[-1] + log_weight - total)
@@ -119,27 +137,29 @@ def sample(log_density: LogDensity, components: Components, symmetries: Floats, 
     return samples
 
 
-def _draw(components: Components, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def _draw(components: Components, symmetries: Floats, rng: np.random.Generator) -> Draws:
     """Draw poses and scalars from the components."""
     count = rng.multinomial(SAMPLES, components.weight)
     which = np.repeat(np.arange(len(count)), count)
     roots: Floats = np.asarray(np.linalg.cholesky(components.covariance))
     t = rng.standard_normal((SAMPLES, 7)) / np.sqrt(rng.chisquare(FREEDOM, SAMPLES) / FREEDOM)[:, None]
     xi = components.mean[which] + (roots[which] @ t[..., None])[..., 0]
-    return components.T[which] @ transform(rotation(xi[:, :3]), xi[:, 3:6]), xi[:, 6]
+    T = components.T[which] @ transform(rotation(xi[:, :3]), xi[:, 3:6])
+    return Draws(T, xi[:, 6], quaternion(T[:, None, :3, :3] @ symmetries[:, :3, :3]))
 
 
-def _log_components(components: Components, T: Floats, scalar: Floats, symmetries: Floats) -> tuple[Floats, Floats]:
-    """Logarithm (C, S) of weight times density of each component, and where it has each sample (C, S, 7)."""
+def _log_components(components: Components, draws: Draws) -> tuple[Floats, Floats]:
+    """Logarithm (C, S) of weight times density of each component, and where it has each sample (C, 7, S)."""
     roots: Floats = np.asarray(np.linalg.cholesky(components.covariance))
     base = inverse(components.T)
-    turn = turns_between(components.T, T[:, None] @ symmetries)
-    moved = T[:, :3, 3] @ np.swapaxes(base[:, :3, :3], 1, 2) + base[:, None, :3, 3]
-    charts = np.concatenate([turn, moved, np.broadcast_to(scalar, turn.shape[:2])[..., None]], axis=-1)
-    white = (charts - components.mean[:, None]) @ np.swapaxes(np.linalg.inv(roots), 1, 2)
-    squared = (white**2).sum(axis=-1)
+    charts = np.empty((len(base), 7, len(draws.T)))
+    charts[:, :3], per_sine = turns_between(components.T, draws.quaternions)
+    charts[:, 3:6] = base[:, :3, :3] @ np.ascontiguousarray(draws.T[:, :3, 3].T) + base[:, :3, 3:]
+    charts[:, 6] = draws.scalar
+    white = np.linalg.inv(roots) @ (charts - components.mean[..., None])
+    squared = (white * white).sum(axis=1)
     # How much volume of rotations a volume of rotation vectors covers there: (2 sin(x / 2) / x)^2.
-    volume = 2 * np.log(np.sinc(np.linalg.norm(turn, axis=-1) / (2 * np.pi)))
+    volume = -2 * np.log(0.5 * per_sine)
     constant = lgamma((FREEDOM + 7) / 2) - lgamma(FREEDOM / 2) - 3.5 * np.log(FREEDOM * np.pi)
     scale = np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
     log = constant - scale[:, None] - 0.5 * (FREEDOM + 7) * np.log1p(squared / FREEDOM) - volume
@@ -156,11 +176,11 @@ def _refitted(components: Components, share: Floats, charts: Floats) -> Componen
     mean, covariance = components.mean.copy(), components.covariance.copy()
     for c in np.flatnonzero(mass > 0):
         p, effective = _tempered(share[c] / share[c].max())
-        new = p @ charts[c]
-        off = charts[c] - new
+        new = charts[c] @ p
+        off = charts[c] - new[:, None]
         trust = effective / (effective + FEW)
         mean[c] = new
-        covariance[c] = trust * 1.2 * (p[:, None] * off).T @ off + (1 - trust) * covariance[c]
+        covariance[c] = trust * 1.2 * (p * off) @ off.T + (1 - trust) * covariance[c]
     weight = (1 - EVEN) * mass / mass.sum() + EVEN / len(mass)
     # A sample that weighs much on its own lies where no component is: it becomes one.
     weighs = share.sum(axis=0)
@@ -169,7 +189,7 @@ def _refitted(components: Components, share: Floats, charts: Floats) -> Componen
     owner, born = share[:, heavy].argmax(axis=0), 0.5 * weighs[heavy]
     return Components(
         np.concatenate([components.T, components.T[owner]]),
-        np.concatenate([mean, charts[owner, heavy]]),
+        np.concatenate([mean, charts[owner, :, heavy]]),
         np.concatenate([covariance, components.covariance[owner] / 4]),
         np.concatenate([weight, born]) / (1.0 + born.sum()),
     )

@@ -9,28 +9,34 @@ once, and each is weighed by the likelihood of the scan as it is. What is compar
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Value
+from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph.edges import UP
 from optshape_graph.errors import EstimationError
+from optshape_graph.factors.static import OUTER_EDGE, SharedError, angle_errors
 from optshape_graph.pose.association import enumerate_poses
-from optshape_graph.pose.evidence import Evidence
+from optshape_graph.pose.evidence import Evidence, ends_of
 from optshape_graph.pose.firings import Firings
 from optshape_graph.pose.mixture import Components, LogDensity, Samples, sample
 from optshape_graph.pose.propagation import (
     Posterior,
     alternative_labels,
     concatenate,
-    exit_probability,
-    missed_rings,
-    propagate,
+    firsts,
+    work_out,
 )
 from optshape_graph.pose.rays import Rays
-from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, rotation, transform, vec
+from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, rotation, transform, vec, vec_derivative
 from optshape_graph.sensor import SensorModel, angle_sds
 from optshape_graph.target import Target
+
+AT_ONCE = 240
+"""Ring ends of the scans that are worked on at once: more, and their candidates' arrays don't stay in cache."""
 
 ALTERNATIVES = 6
 """How many associations next to the best take part in the estimate."""
@@ -62,6 +68,12 @@ BROAD = (0.25, 0.05)
 TRUSTED = 50.0
 """Effective samples below which samples settle nothing."""
 
+NOTHING = 1e-12
+"""Weight of a sample over the largest below which it doesn't count."""
+
+ASKED = 256
+"""Samples that are asked on which edge each ring ends."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledPose(Value):
@@ -71,11 +83,16 @@ class SampledPose(Value):
         T_target_lidar: (4, 4) posterior mean.
         offset: mean of the offset across the edges, in beam widths.
         covariance: (7, 7) of the right perturbation of T_target_lidar, rotation first, and of the offset.
+        errors: (K,) what other scans of the sensor or of the scene share: where rings look, and where the target ends.
+        effect: (7, K) how far the truth lies from pose (rad, metres) and offset (beam widths) for a standard deviation
+            of each.
     """
 
     T_target_lidar: Floats
     offset: float
     covariance: Floats
+    errors: tuple[SharedError, ...]
+    effect: Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,26 +128,67 @@ class Modes(Value):
         return float(np.logaddexp.reduce(self.candidates.log_likelihood[self.best]))
 
 
-def find_candidates(evidence: Evidence) -> Posterior:
-    """Find the posterior of the pose under every association that is worth it, likeliest first, each once.
+def find_candidates(evidences: Sequence[Evidence]) -> list[Posterior]:
+    """Find the posterior of the pose under every association that is worth it, likeliest first, each once, by scan.
 
     Every consistent association of ring ends to edges gives a start. A first round tells the starts apart. A second
     works out the best, the associations next to it, and the poses that the target's shape takes for it: half a turn,
     and those that bring it nearest to itself.
 
-    Raises:
-        EstimationError: no pose explains the returns.
+    Args:
+        evidences: of scans with rings, in any number, each with its target.
     """
-    problem, target = evidence.bounded, evidence.problem.target
-    starts = _upright(enumerate_poses(evidence.problem.edges, evidence.plane, target), target)
-    first = _judged(propagate(problem, starts, relinearisations=1, sweeps=2), evidence)
-    best = first.select(slice(0, 1))
-    labels = np.vstack([best.geometry.labels, alternative_labels(problem, best, ALTERNATIVES)])
-    turned = _lookalikes(best.T_target_lidar, target)
-    T = np.concatenate([np.repeat(best.T_target_lidar, len(labels), axis=0), turned])
-    labels = np.vstack([labels, problem.geometry(turned).labels])
-    second = _judged(propagate(problem, T, relinearisations=1, labels=labels, sweeps=4), evidence)
-    return _distinct(concatenate(second, first))
+    order = sorted(
+        range(len(evidences)), key=lambda k: (len(evidences[k].problem.target), len(evidences[k].bounded.edges))
+    )
+    found: dict[int, Posterior] = {}
+    for some in _batches([evidences[k] for k in order]):
+        together = [order[k] for k in some]
+        found.update(zip(together, _find_together([evidences[k] for k in together]), strict=True))
+    return [found[k] for k in range(len(evidences))]
+
+
+def _batches(evidences: Sequence[Evidence]) -> list[list[int]]:
+    """Group neighbours whose targets have as many edges, up to AT_ONCE ring ends in each group."""
+    groups: list[list[int]] = []
+    for k, evidence in enumerate(evidences):
+        ends, n = len(evidence.bounded.edges), len(evidence.problem.target)
+        last = evidences[groups[-1][0]] if groups else evidence
+        if groups and n == len(last.problem.target) and (len(groups[-1]) + 1) * ends <= AT_ONCE:
+            groups[-1].append(k)
+        else:
+            groups.append([k])
+    return groups
+
+
+def _find_together(evidences: Sequence[Evidence]) -> list[Posterior]:
+    """Find the candidates of scans whose targets have as many edges; see `find_candidates`."""
+    targets, ends = [evidence.problem.target for evidence in evidences], ends_of(evidences)
+    starts = enumerate_poses([one.problem.edges for one in evidences], [one.plane for one in evidences], targets)
+    T = [_upright(poses, target) for poses, target in zip(starts, targets, strict=True)]
+    scan, first = work_out(ends, _scan_of(T), np.concatenate(T), None, sweeps=2)
+    order = np.lexsort((-first.log_likelihood, scan))
+    best = first.select(order[np.searchsorted(scan[order], np.arange(len(targets)))])
+    T, labels = [], []
+    for k, (target, beside) in enumerate(zip(targets, alternative_labels(ends, best, ALTERNATIVES), strict=True)):
+        pose, own = best.T_target_lidar[k : k + 1], np.vstack([best.geometry.labels[k], beside])
+        turned = _lookalikes(pose, target)
+        T.append(np.concatenate([np.repeat(pose, len(own), axis=0), turned]))
+        labels.append(np.vstack([own, np.full((len(turned), own.shape[1]), -1)]))  # a turned target's are its own
+    again, second = work_out(ends, _scan_of(T), np.concatenate(T), np.concatenate(labels), sweeps=4)
+    scan, found = np.concatenate([again, scan]), concatenate([second, first])
+    once = firsts(scan, found.geometry.labels)
+    order = once[np.lexsort((-found.log_likelihood[once], scan[once]))]
+    bounds = np.searchsorted(scan[order], np.arange(len(targets) + 1)).tolist()
+    return [
+        found.select(order[a:b], len(evidence.bounded.edges))
+        for (a, b), evidence in zip(pairwise(bounds), evidences, strict=True)
+    ]
+
+
+def _scan_of(of_scans: Sequence[Floats]) -> Ints:
+    """(C,) number of the scan that each row of arrays, one of each scan, is of."""
+    return np.repeat(np.arange(len(of_scans)), [len(one) for one in of_scans])
 
 
 def _lookalikes(T_target_lidar: Floats, target: Target) -> Floats:
@@ -139,27 +197,6 @@ def _lookalikes(T_target_lidar: Floats, target: Target) -> Floats:
     fits = [np.angle(np.vdot(vertices, np.roll(vertices, -k))) for k in range(1, len(target))]
     turns = np.array([np.pi, *fits])
     return _upright(transform(rotation(turns[:, None] * [1.0, 0.0, 0.0])) @ T_target_lidar, target)
-
-
-def _judged(posterior: Posterior, evidence: Evidence) -> Posterior:
-    """Add to the likelihoods what the posteriors leave out; likeliest first."""
-    scan = evidence.scan
-    score = posterior.log_likelihood + exit_probability(evidence.bounded, posterior)
-    if scan.sensor is not None:
-        score = score + missed_rings(evidence.bounded, posterior, evidence.problem.edges, scan.sensor)
-    score = np.where(np.isfinite(score), score, -np.inf)
-    if not np.isfinite(score).any():
-        raise EstimationError(f"{scan.name}: no pose explains the returns")
-    return _distinct(replace(posterior, log_likelihood=score))
-
-
-def _distinct(posterior: Posterior) -> Posterior:
-    """Each association once, as first listed; likeliest first."""
-    firsts: dict[bytes, int] = {}
-    for k, labels in enumerate(posterior.geometry.labels):
-        firsts.setdefault(labels.tobytes(), k)
-    index = np.array(list(firsts.values()))
-    return posterior.select(index[np.argsort(-posterior.log_likelihood[index], kind="stable")])
 
 
 def _upright(T: Floats, target: Target) -> Floats:
@@ -174,8 +211,13 @@ def compare_modes(candidates: Posterior, evidence: Evidence) -> Modes:
     Args:
         candidates: best first.
         evidence: in which they were found.
+
+    Raises:
+        EstimationError: no pose explains the returns.
     """
     target = evidence.problem.target
+    if not np.isfinite(candidates.log_likelihood[0]):
+        raise EstimationError(f"{evidence.scan.name}: no pose explains the returns")
     by_association = _compare(candidates, target)
     if evidence.problem.edges.n_rings >= SURE[0] and by_association.margin > SURE[1]:
         return by_association
@@ -197,7 +239,7 @@ def compare_modes(candidates: Posterior, evidence: Evidence) -> Modes:
     best = _within(inverse(candidates.T_target_lidar), first, MODE, ITSELF, target.circumradius)
     order = np.argsort(~best, kind="stable")
     inside = Samples(samples.T[of_first], samples.scalar[of_first], samples.weight[of_first], samples.log_integral)
-    sampled = _moments(inside, first, target) if inside.effective > TRUSTED else None
+    sampled = _moments(inside, first, evidence) if inside.effective > TRUSTED else None
     return Modes(candidates.select(order), best[order], margin, rival, sampled)
 
 
@@ -302,14 +344,45 @@ def _components(posterior: Posterior, centre: Floats, size: float) -> Components
     )
 
 
-def _moments(samples: Samples, first: Floats, target: Target) -> SampledPose:
+def _moments(samples: Samples, first: Floats, evidence: Evidence) -> SampledPose:
     """Mean and covariance of samples of T_lidar_target about one of them, the target's equivalents being one."""
+    counts = samples.weight > NOTHING * samples.weight.max()
+    samples = replace(samples, T=samples.T[counts], scalar=samples.scalar[counts], weight=samples.weight[counts])
     weight = samples.weight / samples.weight.sum()
-    poses = inverse(target.nearest_equivalent(samples.T, first))
+    poses = inverse(evidence.problem.target.nearest_equivalent(samples.T, first))
     mean = inverse(first)
     for _ in range(3):
         xi = difference(mean, poses)
         mean = mean @ exp(weight @ xi)
     offset = float(weight @ samples.scalar)
     off = np.column_stack([difference(mean, poses), samples.scalar - offset])
-    return SampledPose(mean, offset, (weight[:, None] * off).T @ off)
+    equally = np.searchsorted(np.cumsum(weight), (np.arange(ASKED) + 0.5) / ASKED).clip(max=len(weight) - 1)
+    errors, effect = _effects(evidence, poses[equally])
+    return SampledPose(mean, offset, (weight[:, None] * off).T @ off, errors, effect)
+
+
+def _effects(evidence: Evidence, T_target_lidar: Floats) -> tuple[tuple[SharedError, ...], Floats]:
+    """Errors (K,) that scans share, and how far off the estimate the truth is for a standard deviation of each (7, K).
+
+    Linear in pose and offset: rows J x + B a of weight W are least at x = -C J^T W B a, C being the covariance. Poses
+    (S, 4, 4) that are equally likely don't agree where some rings end: the rows are theirs on average.
+    """
+    problem, T = evidence.bounded, T_target_lidar
+    edges = problem.edges
+    g = problem.geometry(T)
+    weight = 1.0 / (g.own + g.along**2 * (edges.width**2 / 12 + edges.shift**2))
+    m = g.direction @ T[:, :3, :3]
+    J = np.concatenate([np.cross(edges.points, m), m, g.across[..., None]], axis=-1)
+    D = vec_derivative(T)
+    information = (np.swapaxes(J, 1, 2) @ (weight[..., None] * J)).mean(axis=0)
+    information[:6, :6] += (np.swapaxes(D, 1, 2) @ problem.plane[:12, :12] @ D).mean(axis=0)
+    information[6, 6] += 1.0 / problem.beam.offset_of_rays(np.linalg.norm(edges.points, axis=1)) ** 2
+    none, whole = np.zeros(len(edges)), np.ones(len(edges))
+    lifted, errors = angle_errors(whole, none, edges.ring, problem.sensor)
+    turned, _ = angle_errors(none, whole, edges.ring, problem.sensor)
+    outside = np.abs(edges.side) == UP
+    between = np.abs(g.along) * edges.width / np.sqrt(12.0)
+    by_lift, by_turn, by_outer = (((weight * by)[..., None] * J).mean(axis=0).T for by in (g.lifted, g.turned, between))
+    pull = np.hstack([by_lift @ lifted + by_turn @ turned, by_outer[:, outside]])
+    outer = tuple(SharedError(OUTER_EDGE, ring=int(ring)) for ring in edges.ring[outside])
+    return (*errors, *outer), -np.linalg.solve(information, pull)

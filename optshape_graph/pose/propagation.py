@@ -10,8 +10,7 @@ a standard deviation.
 
 Unknowns: a right perturbation of T_target_lidar (6), the offset across the edges that all edge points of a scan share
 (1), how much further along the rings a bright target reaches (1), and where azimuths are noisy, the shift along each
-ring that both its ends share. Several candidate poses are
-worked on at once.
+ring that both its ends share. Several candidate poses are worked on at once, of one scan or of several.
 
 Evidence that the posterior leaves out is free: where the rings that returned nothing would have met the target
 (`missed_rings`), and that each ring leaves it within an edge, not on its extension (`exit_probability`).
@@ -27,17 +26,15 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.chords import chords, sight_planes
-from optshape_graph.edges import EdgePoints
 from optshape_graph.gaussian import log_ndtr, mixture_moments
-from optshape_graph.pose.ends import EdgeGeometry, Problem
+from optshape_graph.pose.ends import EdgeGeometry, RingEnds
 from optshape_graph.se3 import exp, vec, vec_derivative
-from optshape_graph.sensor import SensorModel
 
 _WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])
 """Information of the pose before any measurement (3 rad, 100 m): keeps an unobservable pose finite."""
 
 _LARGEST_STEP = 0.15
-"""Rotation by which a relinearisation moves a pose at most, rad."""
+"""Rotation by which a pose moves at most, rad."""
 
 DAMPING = 0.8
 """Share of each update of an edge point that is taken."""
@@ -70,14 +67,23 @@ class Posterior(Value):
     sigma: Floats
     log_likelihood: Floats
 
-    def select(self, index: Ints | slice) -> Posterior:
-        """Return some of the posteriors: a slice of them, or those at indices (K,)."""
-        return _made(lambda values: values[0][index], self)
+    def select(self, index: Ints | slice, ends: int | None = None) -> Posterior:
+        """Return some of the posteriors, of some of the edge points.
+
+        Args:
+            index: a slice of the posteriors, or (K,).
+            ends: number of edge points, where those after are padding; None: all.
+        """
+        chosen = _made(lambda values: values[0][index], self)
+        m = self.inset.shape[1]
+        if ends in (None, m):
+            return chosen
+        return _made(lambda values: values[0][:, :ends] if values[0].shape[1:2] == (m,) else values[0], chosen)
 
 
-def concatenate(a: Posterior, b: Posterior) -> Posterior:
-    """Return the posteriors of both."""
-    return _made(np.concatenate, a, b)
+def concatenate(posteriors: Sequence[Posterior]) -> Posterior:
+    """Return the posteriors of all."""
+    return _made(np.concatenate, *posteriors)
 
 
 def _made(make: Callable[[list[Floats]], Floats], *posteriors: Posterior) -> Posterior:
@@ -91,37 +97,74 @@ def _made(make: Callable[[list[Floats]], Floats], *posteriors: Posterior) -> Pos
     return Posterior(geometry=geometry, **arrays(posteriors))
 
 
-def propagate(
-    problem: Problem, T: Floats, *, relinearisations: int, sweeps: int, labels: Ints | None = None
-) -> Posterior:
-    """Find the posterior about each of C poses.
+def work_out(ends: RingEnds, scan: Ints, T: Floats, labels: Ints | None, sweeps: int) -> tuple[Ints, Posterior]:
+    """Find the posterior about each of some poses, each association of a scan once, as first listed.
 
     Args:
-        problem: one target in one scan.
+        ends: of B scans.
+        scan: (C,) that each pose is of, ascending.
         T: (C, 4, 4) T_target_lidar to start from.
-        labels: (C, M) association; None: each ring ends on the edge it leaves by first, as the poses move.
-        relinearisations: how often the poses move to their posterior means.
-        sweeps: updates of all edge points between two relinearisations.
+        labels: (C, M) edge of each ring end; None, and -1: as `RingEnds.geometry` finds them.
+        sweeps: of expectation propagation.
+
+    Returns:
+        The scan (K,) of each posterior, and the posteriors.
     """
-    middle, width = problem.edges.middle, problem.edges.width
-    offset = np.zeros(len(T))
-    inset = np.broadcast_to(middle, (len(T), len(width)))
-    spread = np.broadcast_to(width**2 / 12, inset.shape)
-    previous = labels
-    for iteration in range(relinearisations):
-        settled = iteration == relinearisations - 1  # the last association is the one the posterior is of
-        geometry = problem.geometry(T, labels if labels is not None or not settled else previous)
-        if previous is not None:
-            changed = geometry.labels != previous
-            inset, spread = np.where(changed, middle, inset), np.where(changed, width**2 / 12, spread)
-        previous = geometry.labels
-        step, posterior = _sweep(problem, T, geometry, offset, inset, spread, sweeps)
-        inset, offset = posterior.inset, posterior.offset
-        along = np.maximum(np.abs(geometry.along), 1e-3 * np.linalg.norm(problem.edges.points, axis=1))
-        spread = np.maximum(posterior.sigma**2 - geometry.own, 1e-8 * along**2 * width**2) / along**2
-        largest = np.abs(step[:, :3]).max(axis=1, initial=0.0)
-        T = T @ exp(step * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))[:, None])
-    return replace(posterior, T_target_lidar=T)
+    geometry = ends.take(scan).geometry(T, labels)
+    once = firsts(scan, geometry.labels)
+    scan, ends = scan[once], ends.take(scan[once])
+    posterior = propagate(ends, T[once], geometry.select(once), sweeps)
+    # What the posteriors leave out.
+    score = posterior.log_likelihood + exit_probability(ends, posterior) + missed_rings(ends, posterior)
+    return scan, replace(posterior, log_likelihood=np.where(np.isfinite(score), score, -np.inf))
+
+
+def firsts(scan: Ints, labels: Ints) -> Ints:
+    """Indices (K,) at which each association, labels (C, M) in scans (C,), is listed first."""
+    found: dict[tuple[int, bytes], int] = {}
+    for k, (of, mine) in enumerate(zip(scan.tolist(), labels, strict=True)):
+        found.setdefault((of, mine.tobytes()), k)
+    return np.array(list(found.values()))
+
+
+def propagate(ends: RingEnds, T: Floats, geometry: EdgeGeometry, sweeps: int) -> Posterior:
+    """Find the posterior about each of C poses, and move it to its mean.
+
+    Args:
+        ends: of the scan that each is of, or of the one that all are of.
+        T: (C, 4, 4) T_target_lidar to start from.
+        geometry: of the ring ends there.
+        sweeps: updates of all edge points.
+    """
+    points, m, s = ends.points, geometry.direction @ T[:, :3, :3], geometry.along
+    columns = [np.cross(points, m), m, geometry.across[..., None], s[..., None] * ends.by_shift]
+    J = np.concatenate(columns, axis=-1)
+    D, z = vec_derivative(T), vec(T)
+    precision0 = np.zeros((len(T), J.shape[-1], J.shape[-1])) + np.eye(J.shape[-1])
+    precision0[:, :6, :6] = np.swapaxes(D, 1, 2) @ ends.plane[:, :12, :12] @ D + _WEAK_PRIOR
+    precision0[:, 6, 6] = 1.0 / ends.offset_sd**2
+    shift0 = np.zeros(precision0.shape[:2])
+    gradient = (z[:, None] @ ends.plane[:, :12, :12])[:, 0] + ends.plane[:, 12, :12]
+    shift0[:, :6] = -(gradient[:, None] @ D)[:, 0]
+
+    step = posterior_step(
+        ends, geometry, precision0, shift0, J, geometry.residual, ends.middle, ends.width**2 / 12, sweeps
+    )
+    fast = np.where(np.abs(s) > ends.slowest, s, np.inf)
+    precision = np.where(ends.there, step.precision, 1.0)
+    by_turn = step.mean[:, :6]
+    largest = np.abs(by_turn[:, :3]).max(axis=1, initial=0.0)
+    return Posterior(
+        T_target_lidar=T @ exp(by_turn * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))[:, None]),
+        covariance=np.asarray(step.covariance[:, :6, :6]),
+        joint=np.asarray(step.covariance[:, :7, :7]),
+        offset=step.mean[:, 6],
+        geometry=geometry,
+        inset=np.clip(-(step.information / precision) / fast, *ends.lost_limits),
+        shift=(ends.by_shift @ step.mean[:, 7:, None])[..., 0],
+        sigma=1.0 / np.sqrt(precision),
+        log_likelihood=step.log_evidence,
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,7 +187,7 @@ class Step(Value):
 
 
 def posterior_step(
-    problem: Problem,
+    ends: RingEnds,
     geometry: EdgeGeometry,
     precision0: Floats,
     shift0: Floats,
@@ -153,12 +196,11 @@ def posterior_step(
     inset: Floats,
     spread: Floats,
     sweeps: int,
-    settled: float = 1e-3,
 ) -> Step:
     """Update the Gaussians of all edge points `sweeps` times, linearised where the step is 0.
 
     Args:
-        problem: one target in one scan.
+        ends: of the scan that each pose is of, or of the one that all are of.
         geometry: its edge points, from C poses.
         precision0: (C, K, K) information matrix of the step before the edge points, and
         shift0: (C, K) its information vector.
@@ -166,15 +208,13 @@ def posterior_step(
         r: (C, M) residuals at step 0, metres, insets left out.
         inset: (C, M) distance to the boundary to start from, rad, and
         spread: (C, M) its variance, square rad.
-        sweeps: at most so many updates.
-        settled: relative change of every precision below which more updates change nothing.
+        sweeps: number of updates.
     """
     own, s = geometry.own, geometry.along
-    intervals = residual_intervals(s, problem)
-    tau = 1.0 / (own + spread * s**2)
+    intervals = residual_intervals(s, ends)
+    tau = ends.there / (own + spread * s**2)
     nu = -tau * inset * s
     Jt = np.swapaxes(J, 1, 2)
-    change = np.inf
     for sweep in range(sweeps + 1):
         precision = precision0 + Jt @ (tau[..., None] * J)
         shift = shift0 + (Jt @ (nu - tau * r)[..., None])[..., 0]
@@ -183,16 +223,16 @@ def posterior_step(
         variance = ((J @ covariance) * J).sum(axis=-1)
         prediction = r + (J @ mean[..., None])[..., 0]
         site = update_sites(prediction, variance, own, intervals, tau, nu)
-        if sweep == sweeps or change < settled:
+        if sweep == sweeps:
             break
-        change = float(np.max(np.abs(site.precision - tau) / (site.precision + tau)))
-        tau, nu = tau + DAMPING * (site.precision - tau), nu + DAMPING * (site.information - nu)
+        tau = ends.there * (tau + DAMPING * (site.precision - tau))
+        nu = ends.there * (nu + DAMPING * (site.information - nu))
+    evidence = site.log_mass + 0.5 * _log_ratio(site.cavity_mean, site.cavity_variance, tau, nu)
     log_evidence = (
         0.5 * ((mean * shift).sum(axis=-1) - np.linalg.slogdet(precision)[1])
         - 0.5 * (shift0 * np.linalg.solve(precision0, shift0[..., None])[..., 0]).sum(axis=-1)
         + 0.5 * np.linalg.slogdet(precision0)[1]
-        + (site.log_mass + 0.5 * _log_ratio(site.cavity_mean, site.cavity_variance, tau, nu)).sum(axis=-1)
-        - 0.5 * (tau * r**2 - 2 * nu * r).sum(axis=-1)
+        + (ends.there * evidence - 0.5 * (tau * r**2 - 2 * nu * r)).sum(axis=-1)
     )
     return Step(mean, np.asarray(covariance), tau, nu, log_evidence)
 
@@ -253,40 +293,6 @@ def update_sites(
     )
 
 
-def _sweep(
-    problem: Problem, T: Floats, geometry: EdgeGeometry, offset: Floats, inset: Floats, spread: Floats, sweeps: int
-) -> tuple[Floats, Posterior]:
-    """Update all edge points at fixed linearisation; the step of the poses' means, and the posteriors."""
-    points, m = problem.edges.points, geometry.direction @ T[:, :3, :3]
-    s, by_shift = geometry.along, np.hstack([problem.blooming, problem.ring_shifts])
-    columns = [np.cross(points, m), m, geometry.across[..., None], s[..., None] * by_shift]
-    J = np.concatenate(columns, axis=-1)
-    r = geometry.residual + offset[:, None] * geometry.across
-
-    D, z = vec_derivative(T), vec(T)
-    precision0 = np.zeros((len(T), J.shape[-1], J.shape[-1])) + np.eye(J.shape[-1])
-    precision0[:, :6, :6] = np.swapaxes(D, 1, 2) @ problem.plane[:12, :12] @ D + _WEAK_PRIOR
-    shift0 = np.zeros(precision0.shape[:2])
-    shift0[:, :6] = -((z @ problem.plane[:12, :12] + problem.plane[12, :12])[:, None] @ D)[:, 0]
-    precision0[:, 6, 6] = 1.0 / problem.beam.common**2
-    shift0[:, 6] = -precision0[:, 6, 6] * offset
-
-    step = posterior_step(problem, geometry, precision0, shift0, J, r, inset, spread, sweeps)
-    fast = np.where(np.abs(s) > 1e-3 * np.linalg.norm(points, axis=1), s, np.inf)
-    posterior = Posterior(
-        T_target_lidar=T,
-        covariance=np.asarray(step.covariance[:, :6, :6]),
-        joint=np.asarray(step.covariance[:, :7, :7]),
-        offset=offset + step.mean[:, 6],
-        geometry=geometry,
-        inset=np.clip(-(step.information / step.precision) / fast, *problem.intervals[1]),
-        shift=step.mean[:, 7:] @ by_shift.T,
-        sigma=1.0 / np.sqrt(step.precision),
-        log_likelihood=step.log_evidence,
-    )
-    return step.mean[:, :6], posterior
-
-
 def _log_ratio(cavity_mean: Floats, cavity_variance: Floats, tau: Floats, nu: Floats) -> Floats:
     """Twice the logarithm of what divides a site's normaliser: of exp(nu r - tau r^2 / 2) under the cavity."""
     precision = 1.0 / cavity_variance
@@ -294,24 +300,23 @@ def _log_ratio(cavity_mean: Floats, cavity_variance: Floats, tau: Floats, nu: Fl
     return np.asarray(np.log(total / precision) - shift**2 / total + cavity_mean**2 * precision)
 
 
-def residual_intervals(along: Floats, problem: Problem) -> tuple[Floats, Floats, Floats]:
+def residual_intervals(along: Floats, ends: RingEnds) -> tuple[Floats, Floats, Floats]:
     """Where the residual of a boundary point lies (2, C, M): within its interval, or, for a lost return, about it.
 
     Densities are per step. A point that leaves its edge inwards cannot have ended there: its first interval is
     empty of weight.
     """
-    edges, options = problem.edges, problem.options
-    residuals = -problem.intervals[:, :, None] * along
-    lower, upper = residuals.min(axis=1) - 1e-7, residuals.max(axis=1) + 1e-7
-    span = options.lost_span[1] - options.lost_span[0]
+    first, last = ends.lost_limits
+    limits = -along * np.stack([[ends.lower, ends.lower + ends.width], [first, last]])
+    lower, upper = limits.min(axis=1) - 1e-7, limits.max(axis=1) + 1e-7
+    lost, span = ends.lost_ends[:, None], np.diff(ends.lost_span, axis=1)
     log_density = np.zeros((2, *along.shape))
-    log_density[0] = np.log(1 - options.lost_ends) - np.log(edges.width / np.maximum(edges.width, edges.azimuth_step))
-    log_density[0] -= np.where(along > 0, 0.0, 20.0)
-    log_density[1] = np.log(options.lost_ends / span)
+    log_density[0] = np.log(1 - lost) - np.log(ends.width / ends.step) - np.where(along > 0, 0.0, 20.0)
+    log_density[1] = np.log(lost / span)
     return lower, upper, log_density
 
 
-def missed_rings(problem: Problem, posterior: Posterior, ends: EdgePoints, sensor: SensorModel) -> Floats:
+def missed_rings(ends: RingEnds, posterior: Posterior) -> Floats:
     """Logarithm of the probability (C,) that the rings without returns return nothing.
 
     A ring that crosses the target by less than a step may fall between two firings. Beyond that it must have been
@@ -319,76 +324,66 @@ def missed_rings(problem: Problem, posterior: Posterior, ends: EdgePoints, senso
     highest that did return tell.
 
     Args:
-        problem: one target in one scan.
+        ends: of the scan that each pose is of, or of the one that all are of.
         posterior: of C poses.
-        ends: of the rings that returned.
-        sensor: whose table says which rings there are.
+    """
+    T, lost = posterior.T_target_lidar, ends.lost_rings[:, None]
+    vertices = (ends.vertices - T[:, None, :3, 3]) @ T[:, :3, :3]
+    narrower = 2 * posterior.offset * ends.beam_angle  # as the target seems to the rings
+    right, left = chords(sight_planes(vertices), ends.elevations[:, None], ends.reference_azimuth[:, None])
+    with np.errstate(invalid="ignore"):
+        steps = np.nan_to_num((left - right - narrower[:, None]) / ends.azimuth_step[:, None], neginf=0.0)
+    unseen = np.clip(1.0 - steps, 0.0, 1.0)
+    return np.asarray((ends.silent * np.log(unseen * (1 - lost) + lost)).sum(axis=1))
+
+
+def other_edges(ends: RingEnds, posterior: Posterior) -> tuple[Floats, Floats]:
+    """Return how far boundary points lie beyond each edge line (C, M, n), metres, and where they are (C, M, 3).
+
+    Beyond the edge that each is assigned to: -inf. Places are on the plane, LiDAR frame, metres.
     """
     T = posterior.T_target_lidar
-    vertices = (problem.target.vertices - T[:, None, :3, 3]) @ T[:, :3, :3]
-    ranges = np.linalg.norm(problem.edges.points, axis=1)
-    narrower = (
-        2 * posterior.offset * float(np.mean(problem.beam.width(ranges) / ranges))
-    )  # as the target seems to the rings
-    lost = ends.lost_rings
-    outer = np.delete(sensor.elevations, slice(ends.ring[0], ends.ring[-1] + 1))
-    right, left = chords(sight_planes(vertices), outer, ends.reference_azimuth)
-    with np.errstate(invalid="ignore"):
-        steps = np.nan_to_num((left - right - narrower[:, None]) / ends.azimuth_step, neginf=0.0)
-    unseen = np.clip(1.0 - steps, 0.0, 1.0)
-    return np.asarray(np.log(unseen * (1 - lost) + lost).sum(axis=1))
+    ray = ends.points + (posterior.inset + posterior.shift)[..., None] * ends.sweep
+    boundary = ray * (-T[:, 0, 3, None, None] / (ray @ T[:, 0, :3, None]))
+    y = boundary @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]
+    beyond = y[..., 1:] @ np.swapaxes(ends.normals, 1, 2) - ends.offsets[:, None]
+    np.put_along_axis(beyond, posterior.geometry.labels[..., None], -np.inf, axis=-1)
+    return np.asarray(beyond), boundary
 
 
-def other_edges(problem: Problem, posterior: Posterior) -> Floats:
-    """Distance (C, M, n), metres, of boundary points beyond each edge line; -inf for the edge each is assigned to."""
-    geometry, target = posterior.geometry, problem.target
-    T = posterior.T_target_lidar
-    boundary = _boundary(problem, posterior)
-    y = (boundary @ np.swapaxes(T[:, :3, :3], 1, 2)) + T[:, None, :3, 3]
-    beyond = y[..., 1:] @ target.normals.T - target.offsets
-    np.put_along_axis(beyond, geometry.labels[..., None], -np.inf, axis=-1)
-    return np.asarray(beyond)
-
-
-def _boundary(problem: Problem, posterior: Posterior) -> Floats:
-    """(C, M, 3) where the posterior puts the boundary that each edge point stands for, LiDAR frame, on the plane."""
-    T, edges = posterior.T_target_lidar, problem.edges
-    normal = T[:, 0, :3]
-    ray = edges.points + (posterior.inset + posterior.shift)[..., None] * edges.sweep
-    return np.asarray(ray * (-T[:, 0, 3, None] / np.einsum("ci,cmi->cm", normal, ray))[..., None])
-
-
-def exit_probability(problem: Problem, posterior: Posterior) -> Floats:
+def exit_probability(ends: RingEnds, posterior: Posterior) -> Floats:
     """Logarithm of the probability (C,) that each ring leaves the target by the edge it is assigned to.
 
     Edge lines are infinite; the target is not: a boundary point must be inside all other edges, as far as the
     pose and the point's own scatter tell, down to the probability of a lost return.
     """
-    beyond = other_edges(problem, posterior)
+    beyond, boundary = other_edges(ends, posterior)
     worst = beyond.argmax(axis=-1)
-    R = posterior.T_target_lidar[:, :3, :3]
-    normal = np.concatenate([np.zeros((*worst.shape, 1)), problem.target.normals[worst]], axis=-1) @ R
-    J = np.concatenate([np.cross(_boundary(problem, posterior), normal), normal], axis=-1)
-    variance = ((J @ posterior.covariance) * J).sum(axis=-1)
-    variance += posterior.geometry.own
+    R, scan = posterior.T_target_lidar[:, :3, :3], np.arange(len(ends.normals))[:, None]
+    normal = ends.normals[scan, worst] @ R[:, 1:]
+    J = np.concatenate([np.cross(boundary, normal), normal], axis=-1)
+    variance = ((J @ posterior.covariance) * J).sum(axis=-1) + posterior.geometry.own
     inside = log_ndtr(-np.take_along_axis(beyond, worst[..., None], axis=-1)[..., 0] / np.sqrt(variance))
-    return np.asarray(np.maximum(inside, np.log(0.1 * problem.options.lost_ends)).sum(axis=1))
+    least = np.log(0.1 * ends.lost_ends)[:, None]
+    return np.asarray((ends.there * np.maximum(inside, least)).sum(axis=1))
 
 
-def alternative_labels(problem: Problem, posterior: Posterior, limit: int) -> Ints:
-    """Labels (V, M) of the associations that differ from a posterior's in one edge point near a vertex.
+def alternative_labels(ends: RingEnds, posterior: Posterior, limit: int) -> list[Ints]:
+    """Labels (V, M) of the associations that differ from a posterior's in one edge point near a vertex, for each of C.
 
     Args:
-        problem: one target in one scan.
-        posterior: of one pose.
+        ends: of the scan that each pose is of, or of the one that all are of.
+        posterior: of C poses.
         limit: at most so many, those nearest to a vertex.
     """
-    beyond = other_edges(problem, posterior)[0]
+    beyond, _ = other_edges(ends, posterior)
     nearest = beyond.argmax(axis=-1)
-    reach = 0.5 * np.abs(posterior.geometry.along[0]) * problem.edges.width
-    closeness = -beyond.max(axis=-1) / (posterior.sigma[0] + reach)
-    order = np.argsort(closeness)[:limit]
-    order = order[closeness[order] < 1.0]
-    labels = np.repeat(posterior.geometry.labels, len(order), axis=0)
-    labels[np.arange(len(order)), order] = nearest[order]
-    return labels
+    reach = 0.5 * np.abs(posterior.geometry.along) * ends.width
+    closeness = np.where(ends.there, -beyond.max(axis=-1) / (posterior.sigma + reach), np.inf)
+    found = []
+    for k, order in enumerate(np.argsort(closeness, axis=-1)[:, :limit]):
+        order = order[closeness[k, order] < 1.0]
+        labels = np.repeat(posterior.geometry.labels[k : k + 1], len(order), axis=0)
+        labels[np.arange(len(order)), order] = nearest[k, order]
+        found.append(labels)
+    return found

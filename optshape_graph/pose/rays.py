@@ -181,7 +181,7 @@ class Rays(Value):
         spacing = np.maximum((left - right)[s, o] / MOST_FIRINGS, self.step)
         place = (np.arange(PHASES)[:, None] + 0.5) / PHASES + np.arange(MOST_FIRINGS)
         azimuth = right[s, o][:, None, None] + place * spacing[:, None, None] + self.reference_azimuth
-        rays = _unit_vectors(azimuth, np.broadcast_to(self.empty[o][:, None, None], azimuth.shape))
+        rays = _unit_vectors(azimuth, self.empty[o][:, None, None])
         outside = np.einsum("qki,qhfi->qkhf", normals[s], rays, optimize=True).max(axis=1)
         returns = self._returns(outside / width + offset[s, None, None])
         unseen[s, o] = ((1.0 - returns).prod(axis=-1) ** (spacing / self.step)[:, None]).mean(axis=-1)
@@ -189,8 +189,8 @@ class Rays(Value):
 
 
 def _unit_vectors(azimuth: Floats, elevation: Floats) -> Floats:
-    flat = np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
+    flat, up = np.cos(elevation), np.sin(elevation)
+    return np.stack(np.broadcast_arrays(flat * np.cos(azimuth), flat * np.sin(azimuth), up), axis=-1)
 
 
 def _trains(steps: Floats, revolutions: int) -> list[Floats]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
@@ -11,7 +12,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Ints, Value, frozen, shortened
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.measurement import TemplateMeasurement
-from optshape_graph.factors.static import OF_RINGS, OF_SENSOR, RANGE_BIAS, BiasedMeasurement
+from optshape_graph.factors.static import OF_RINGS, OF_SENSOR, OF_TARGET, RANGE_BIAS, BiasedMeasurement
 from optshape_graph.io.records import to_record
 from optshape_graph.io.results import RECORD, Result, Row, one_scan
 from optshape_graph.pose.certificate import Certificate
@@ -160,16 +161,23 @@ class PoseEstimate(Result):
         Others are of one scan: where the target ends between two rings, and what isn't known of the board itself. Scans
         share biases of ranges in metres: their unit is the sensor file's deviation, however large a scan shows them.
         """
+        return self._keeping(OF_SENSOR)
+
+    @property
+    def of_sensor_and_target(self) -> BiasedMeasurement | None:
+        """The same before those that the target keeps are marginalised too: of its surface, and of its outline."""
+        return self._keeping((*OF_SENSOR, *OF_TARGET))
+
+    def _keeping(self, kinds: Collection[str]) -> BiasedMeasurement | None:
+        """What the returns say before errors of some kinds, and those of single rings, are marginalised."""
         if self.shared is None:
             return None
-        kept = self.shared.without(
-            [
-                error
-                for error in self.shared.shared
-                if not (error.kind in OF_SENSOR or (error.kind in OF_RINGS and error.ring is not None))
-            ]
-        )
-        return kept.rescaled(RANGE_BIAS, 1.0 / self.fit.bias_factor)
+        own = [
+            error
+            for error in self.shared.shared
+            if not (error.kind in kinds or (error.kind in OF_RINGS and error.ring is not None))
+        ]
+        return self.shared.without(own).rescaled(RANGE_BIAS, 1.0 / self.fit.bias_factor)
 
     @property
     def inset_rad(self) -> float:

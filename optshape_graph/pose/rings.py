@@ -8,12 +8,14 @@ into one measurement.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.edges import UP, EdgePoints
+from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import refine, template_rows
 from optshape_graph.factors.static import (
     BLOOMING,
@@ -28,29 +30,44 @@ from optshape_graph.pose.evidence import Evidence, Finding
 from optshape_graph.pose.modes import Modes, SampledPose, compare_modes, find_candidates
 from optshape_graph.se3 import difference, vec, vec_derivative
 
+MOST = 0.5
+"""Share of a sampled pose's variance, in any direction, that errors which scans share explain at most: by how far they
+displace the pose differs a little from scan to scan, and where little is left that difference would tell the errors."""
 
-def find_by_rings(evidence: Evidence) -> Finding:
-    """Find a target's pose by the edges on which its rings end; see `estimate_pose`.
 
-    Raises:
-        EstimationError: no pose explains the returns.
+def find_by_rings(evidences: Sequence[Evidence]) -> list[Finding | EstimationError]:
+    """Find targets' poses by the edges on which their rings end; see `estimate_poses`.
+
+    Args:
+        evidences: of B scans with rings, the candidates of all of which are worked out at once.
+
+    Returns:
+        For each scan what was found; or the error, where no pose explains the returns.
     """
-    problem, on_plane, n = evidence.bounded, evidence.on_plane, len(evidence.problem.edges)
-    modes = compare_modes(find_candidates(evidence), evidence)
+    found: list[Finding | EstimationError] = []
+    for evidence, candidates in zip(evidences, find_candidates(evidences), strict=True):
+        try:
+            found.append(_in_one_measurement(evidence, compare_modes(candidates, evidence)))
+        except EstimationError as error:
+            found.append(error)
+    return found
 
-    # The best mode in one measurement, at its minimum.
-    best = modes.candidates.select(slice(0, 1))
-    T, labels, offset = best.T_target_lidar, best.geometry.labels, float(best.offset[0])
+
+def _in_one_measurement(evidence: Evidence, modes: Modes) -> Finding:
+    """Compress the best mode into one measurement, taken at its minimum."""
+    problem, on_plane, n = evidence.bounded, evidence.on_plane, len(evidence.problem.edges)
+    best = modes.candidates
+    T, labels, offset = best.T_target_lidar[:1], best.geometry.labels[:1], float(best.offset[0])
     if modes.sampled is not None:
         T, offset = modes.sampled.T_target_lidar[None], modes.sampled.offset
         labels = problem.geometry(T).labels
     ends = evidence.problem.fit(T[0], labels[0, :n])
     if modes.sampled is None:
         on_edges, edge_weight = _edge_measurement(evidence, modes, ends.seen_strain, ends.factor)
+        shared = on_edges + on_plane
     else:
         offset_sd = problem.beam.offset_of_rays(np.linalg.norm(problem.edges.points, axis=1))
-        on_edges, edge_weight = sampled_measurement(modes.sampled, on_plane, offset_sd)
-    shared = on_edges + on_plane
+        shared, edge_weight = sampled_measurement(modes.sampled, on_plane, offset_sd)
 
     # What is uncertain beside: the surface, and associations that disagree or ends that scatter more than they should.
     T_target_lidar = refine(shared.of_one_scan().at(T[0]))
@@ -110,27 +127,25 @@ def _edge_measurement(
     mean = np.einsum("c,cij->ij", weight, covariance)
     weight = weight / np.trace(np.linalg.solve(covariance, mean), axis1=1, axis2=2)
     weight /= weight.sum()
-    outside = np.abs(problem.edges.side) == UP
-    rows, total = [], 0.0
-    for k in np.flatnonzero(weight):
-        one = posterior.select(slice(k, k + 1))
-        geometry, sigma = one.geometry, one.sigma[0]
-        boundary = problem.edges.points + one.inset[0][:, None] * problem.edges.outward(one.T_target_lidar[0, 0, :3])
-        A, r = template_rows(
-            boundary, geometry.direction[0], problem.target.offsets[geometry.labels[0]] + geometry.shift[0]
-        )
-        of_ring = geometry.of_ring[0]
-        sigma = np.sqrt(np.maximum(sigma**2 - of_ring, 0.1 * sigma**2))
-        own, outer = _outer_edges(problem.edges, sigma, geometry.own[0] - of_ring)
-        offset = geometry.across[0] * problem.beam.common
-        further = -geometry.along[0] * problem.blooming[:, 0]
-        strains = strain * problem.strains(geometry.labels[0], boundary, one.T_target_lidar[0])
-        by_angle, angles = angle_errors(geometry.lifted[0], geometry.turned[0], problem.edges.ring, problem.sensor)
-        whitened = np.column_stack([offset, further, strains, outer, by_angle, A, r]) / (factor * own[:, None])
-        shifts = _without_shifts(problem.ring_shifts * (geometry.along[0] / own)[:, None])
-        rows.append(np.sqrt(weight[k]) * shifts @ whitened)
-        total += float(weight[k] * (1 / (factor * sigma) ** 2).sum())
-    stack = np.vstack(rows)
+    chosen = np.flatnonzero(weight)  # A of them, M edge points each
+    weight, T, edges = weight[chosen], posterior.T_target_lidar[chosen], problem.edges
+    g, inset, sigma = posterior.geometry.select(chosen), posterior.inset[chosen], posterior.sigma[chosen]
+    normal = T[:, 0, :3, None]
+    outward = edges.sweep - edges.points * ((edges.sweep @ normal) / (edges.points @ normal))
+    boundary = edges.points + inset[..., None] * outward
+    offsets = problem.target.offsets[g.labels] + g.shift
+    A, r = template_rows(boundary.reshape(-1, 3), g.direction.reshape(-1, 3), offsets.ravel())
+    sigma = np.sqrt(np.maximum(sigma**2 - g.of_ring, 0.1 * sigma**2))
+    own, outer = _outer_edges(edges, sigma, g.own - g.of_ring)
+    ring = np.tile(edges.ring, len(chosen))
+    by_angle, angles = angle_errors(g.lifted.ravel(), g.turned.ravel(), ring, problem.sensor)
+    common = np.stack([g.across * problem.beam.common, -g.along * problem.blooming[:, 0]], axis=-1)
+    parts = [common, strain * problem.strains(g.labels, boundary, T), outer, by_angle, A, r]
+    rows = np.concatenate([part.reshape(*own.shape, -1) for part in parts], axis=-1)
+    rows *= (np.sqrt(weight)[:, None] / (factor * own))[..., None]
+    if problem.ring_shifts.shape[1]:
+        rows = _without_shifts(problem.ring_shifts * (g.along / own)[..., None], rows)
+    stack = rows.reshape(-1, rows.shape[-1])
     measurement = BiasedMeasurement.from_rows(
         stack[:, -13:-1],
         stack[:, :-13],
@@ -138,11 +153,12 @@ def _edge_measurement(
         posterior.T_target_lidar[0],
         [
             *(SharedError(kind) for kind in (EDGE_OFFSET, BLOOMING, *STRAIN)),
-            *(SharedError(OUTER_EDGE, ring=int(ring)) for ring in problem.edges.ring[outside]),
+            *(SharedError(OUTER_EDGE, ring=int(ring)) for ring in edges.ring[np.abs(edges.side) == UP]),
             *angles,
         ],
     )
-    return replace(measurement, n_rows=len(problem.edges)), total
+    total = float(weight @ (1 / (factor * sigma) ** 2).sum(axis=1))
+    return replace(measurement, n_rows=len(edges)), total
 
 
 def _outer_edges(edges: EdgePoints, sigma: Floats, own: Floats) -> tuple[Floats, Floats]:
@@ -150,18 +166,52 @@ def _outer_edges(edges: EdgePoints, sigma: Floats, own: Floats) -> tuple[Floats,
 
     Args:
         edges: ring ends, and returns of the highest and the lowest ring.
-        sigma: (M,) standard deviation of each, metres.
-        own: (M,) variance that each scan draws anew, square metres.
+        sigma: (A, M) standard deviation of each, metres.
+        own: (A, M) variance that each scan draws anew, square metres.
 
     Returns:
-        (M,) the part of the standard deviations that is drawn anew, and (M, K) the part that is shared.
+        (A, M) the part of the standard deviations that is drawn anew, and (A, M, K) the part that is shared.
     """
     outside = np.abs(edges.side) == UP
     new = np.where(outside, np.sqrt(np.clip(own, 1e-2 * sigma**2, sigma**2)), sigma)
-    return new, (np.eye(len(sigma)) * np.sqrt(np.maximum(sigma**2 - new**2, 0.0)))[:, outside]
+    shared = np.sqrt(np.maximum(sigma**2 - new**2, 0.0))
+    return new, shared[..., None] * np.eye(len(edges))[:, outside]
 
 
 def sampled_measurement(
+    sampled: SampledPose, on_plane: BiasedMeasurement, offset_sd: float
+) -> tuple[BiasedMeasurement, float]:
+    """Say of a pose that was sampled what the plane and the edges say together.
+
+    To samples, what scans of one sensor or scene share is a blur. Each such error becomes a column of its own, which
+    displaces pose and offset, and its part is taken out of the blur.
+
+    Args:
+        sampled: pose and offset.
+        on_plane: what the returns of the plane say.
+        offset_sd: standard deviation of the offset before the scan, in beam widths.
+
+    Returns:
+        The measurement of plane and edges, and the sum of 1 / sigma^2 of the edges, 1/m2.
+    """
+    T, root = sampled.T_target_lidar, np.linalg.cholesky(sampled.covariance)
+    directions, size, errors = np.linalg.svd(np.linalg.solve(root, sampled.effect), full_matrices=False)
+    effect = root @ (directions * np.minimum(size, np.sqrt(MOST))) @ errors
+    blur = replace(sampled, covariance=sampled.covariance - effect @ effect.T)
+    on_edges, weight = _blurred_measurement(blur, on_plane, offset_sd)
+    shared = on_edges + on_plane
+    k = len(shared.shared)
+    columns = {error: shared.stack[:, i] for i, error in enumerate(shared.shared)}
+    A = shared.stack[:, k:-1]
+    J = np.column_stack([A @ vec_derivative(T), columns[SharedError(EDGE_OFFSET)] / offset_sd])
+    for error, moved in zip(sampled.errors, -(J @ effect).T, strict=True):
+        columns[error] = columns.get(error, 0.0) + moved
+    B = np.column_stack(list(columns.values()))
+    measurement = BiasedMeasurement.from_rows(A, B, shared.stack[:, -1], T, list(columns))
+    return replace(measurement, n_rows=shared.n_rows), weight
+
+
+def _blurred_measurement(
     sampled: SampledPose, on_plane: BiasedMeasurement, offset_sd: float
 ) -> tuple[BiasedMeasurement, float]:
     """Say of the edges what, with the plane, makes the pose that was sampled, its covariance and the offset's.
@@ -209,11 +259,11 @@ def _diagonal(T: Floats, axis: int) -> Floats:
     return entry.ravel()
 
 
-def _without_shifts(B: Floats) -> Floats:
-    """(M, M) matrix that whitens rows which unit-variance errors, columns B (M, K) of disjoint rows, share."""
-    B = B[:, B.any(axis=0)]
-    square = (B**2).sum(axis=0)
-    return np.asarray(np.eye(len(B)) - (B * ((1 - 1 / np.sqrt(1 + square)) / square)) @ B.T)
+def _without_shifts(B: Floats, rows: Floats) -> Floats:
+    """Whiten rows (A, M, n) which unit-variance errors share, columns B (A, M, K) of disjoint rows."""
+    square = (B**2).sum(axis=1, keepdims=True)
+    share = np.where(square > 0, (1 - 1 / np.sqrt(1 + square)) / np.maximum(square, 1e-300), 0.0)
+    return np.asarray(rows - (B * share) @ (np.swapaxes(B, 1, 2) @ rows))
 
 
 def _disagreement(shared: BiasedMeasurement, T_target_lidar: Floats, modes: Modes) -> float:

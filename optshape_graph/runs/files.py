@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import optshape_graph
+from optshape_graph._version import __version__
 from optshape_graph.errors import InputError, OptshapeError
 from optshape_graph.io.documents import json_text
 from optshape_graph.io.files import open_atomically
@@ -86,7 +86,7 @@ def run_files(
     Raises:
         InputError: none of the files can be read, or the output or its journal cannot be written.
     """
-    what = {"form": form, "version": optshape_graph.__version__, **describe, "files": fingerprint(paths)}
+    what = {"form": form, "version": __version__, **describe, "files": fingerprint(paths)}
     with (
         Journal(journal_of(output), what, len(paths)) as journal,
         going_on(lambda: journal.advice(f"{journal.finished} of {journal.count} files are done")),

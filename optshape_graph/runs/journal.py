@@ -2,7 +2,8 @@
 
 The first line describes the run; every other line is a JSON object whose first key is the task's number. A line is
 written in one call; half a line at the end, from a killed process, is cut off. The file is locked while a process has
-it open, so that a second run with the same output is refused.
+it open, so that a second run with the same output is refused. A run that failed says so in a
+last line: the same run goes on after it, and another one begins anew instead of being refused.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ import json
 import os
 import re
 from array import array
+from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO, Self
@@ -32,6 +34,9 @@ _PIECE = 1 << 18
 
 _FIRST = json.dumps({"kind": KIND}).encode()[:-1]
 """Beginning of every journal."""
+
+_FAILED = json.dumps({"failed": True}).encode()
+"""What the last line of a run that failed is."""
 
 _TASK = re.compile(rb'\{"task": (\d{1,12}),')
 
@@ -62,7 +67,10 @@ class Journal:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None and issubclass(kind, Exception) and self.finished:  # not where it was told to stop
+            with suppress(InputError):
+                self._append({"failed": True})
         self.close()
 
     @property
@@ -160,11 +168,18 @@ class Journal:
             self._append(header)
             return
         if found != header:
+            last = deque(lines, 1)
+            if last and last[0][1] == _FAILED:  # its user has found out why
+                self._file.truncate(0)
+                self._append(header)
+                return
             raise InputError(
                 f"{self.path}: holds what is finished of another run (other inputs, options or version); go on with "
                 "the same command as before, or remove it to begin anew"
             )
         for place, line in chain([second], lines):
+            if line == _FAILED:
+                break
             match = _TASK.match(line)
             if match is None or int(match[1]) >= (self.finished + MOST_AHEAD if count is None else count):
                 raise InputError(f"{self.path}: not a line of a journal at byte {place}; remove the file to begin anew")

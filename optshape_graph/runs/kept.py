@@ -13,7 +13,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, TypeVar
 
-import optshape_graph
+from optshape_graph._version import __version__
 from optshape_graph.errors import EstimationError
 from optshape_graph.io.records import from_record, to_record
 from optshape_graph.runs.interruption import going_on
@@ -21,7 +21,7 @@ from optshape_graph.runs.journal import Journal, digest, journal_of
 
 T = TypeVar("T")
 
-_ANY_RUN = {"form": "kept", "version": optshape_graph.__version__}
+_ANY_RUN = {"form": "kept", "version": __version__}
 """Description of the journal: steps of any run, each identified by its inputs."""
 
 

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-import optshape_graph
 from optshape_graph._arrays import Floats
+from optshape_graph._version import __version__
 from optshape_graph.evaluation.verdicts import Verdict, kind_of, verdict_of
 from optshape_graph.io.files import write_atomically
 from optshape_graph.names import markup
@@ -108,9 +108,7 @@ def html_of(document: Mapping[str, Any], verdict: Verdict, pictures: Sequence[st
         parts.append(f"<p>{len(pictures) - len(shown[:MOST_PICTURES])} more pictures are beside the result.</p>")
     if command:
         parts.append(f"<h2>To make this again</h2><pre>{markup(command)}</pre>")
-    versions = (
-        f"optshape_graph {optshape_graph.__version__}, Python {platform.python_version()}, NumPy {np.__version__}"
-    )
+    versions = f"optshape_graph {__version__}, Python {platform.python_version()}, NumPy {np.__version__}"
     parts.append(f"<footer>{markup(versions)}; {markup(document.get('schema'))}</footer>")
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{markup(title)}</title>'

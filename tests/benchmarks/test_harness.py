@@ -11,7 +11,6 @@ from optshape_graph.evaluation.simulation import (
     SCANS_PER_TASK,
     SimulationSweep,
     SweepTask,
-    estimate_pose_by_method,
     run_simulation,
     run_task,
 )
@@ -41,7 +40,7 @@ def test_the_harness_costs_less_than_a_tenth_of_the_estimator(tmp_path):
     asked = sweep()
     tasks = [
         SweepTask(asked, "0", asked.orientations[0], distance, cell, range(first, first + SCANS_PER_TASK),
-                  estimate_pose_by_method)
+                  None)
         for cell, distance in enumerate(asked.distances) for first in range(0, DRAWS, SCANS_PER_TASK)
     ]  # fmt: skip
     run_task(tasks[0])

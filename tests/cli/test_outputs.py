@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +21,7 @@ for library in ("cv2", "rosbags", "pyarrow", "matplotlib", "ezdxf"):
     pytest.importorskip(library)
 
 DEMO = demo_folder()
+ROOT = Path(__file__).parents[2]
 
 RUNS: dict[str, tuple[str, set[str]]] = {
     "estimate": (
@@ -136,3 +141,26 @@ def test_truths_of_simulated_sessions_fit(tmp_path: Path) -> None:
         assert complaint(path) is None
     for folder in "ab":
         assert complaint(tmp_path / folder / "truth.json") is None
+
+
+SCAN = DEMO / "4m.pcd"
+
+
+@pytest.mark.parametrize("command", ["estimate", "info", "detect"])
+def test_json_on_standard_output_is_alone_there(command: str, tmp_path: Path) -> None:
+    """The tables go to standard error then, and no file named "-" is made."""
+    of_target = [] if command == "info" else ["--target", "paper", "--sensor", "vlp32c"]
+    ran = subprocess.run(
+        [sys.executable, "-m", "optshape_graph", command, str(SCAN), *of_target, "--json", "-"],
+        capture_output=True, text=True, check=False, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert ran.returncode in (0, 3), ran.stderr
+    assert json.loads(ran.stdout)["schema"] == f"optshape/{command}/1"
+    assert SCAN.name in ran.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_other_outputs_are_files() -> None:
+    ran = CliRunner().invoke(cli, ["estimate", str(SCAN), "--target", "paper", "--report", "-"])
+    assert ran.exit_code == 2
+    assert "expected the name of a file, found '-'" in ran.output

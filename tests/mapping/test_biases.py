@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from optshape_graph.evaluation.trajectories import pose_nees
-from optshape_graph.factors import fuse_static, inverse_covariance
-from optshape_graph.factors.static import RANGE_BIAS
+from optshape_graph.factors import SharedError, fuse_static, inverse_covariance
+from optshape_graph.factors.static import RANGE_BIAS, SURFACE
+from optshape_graph.graph.shared import gain
 from optshape_graph.mapping import MappingProblem, Match, Odometry, Sighting, Start, Track, solve_batch
 from optshape_graph.pose import estimate_pose
 from optshape_graph.se3 import inverse
@@ -98,3 +99,32 @@ def test_sightings_are_moved_and_renamed_with_their_biases():
     moved, H = sighting.moved(T), random_pose(rng)
     assert moved.biased.marginal(1.0).error(H) == pytest.approx(sighting.biased.marginal(1.0).error(H @ T), rel=1e-9)
     assert Sighting.of(found, biases=False).biased is None
+
+
+def test_what_a_sighting_says_is_what_is_left_when_its_biases_are_marginalised():
+    """Also where the scan shows larger biases than the file: else a map's covariance may come out negative."""
+    _, [found] = estimates(at(7.0, 1.0, 0.3, 0.2), 1, 4)
+    wider = replace(found, fit=replace(found.fit, bias_factor=2.0))
+    sighting, H = Sighting.of(wider), found.T_target_lidar
+    J = sighting.measurements[0].jacobian(H)
+    errors = gain(sighting.biased, H, sighting.biased.shared)
+    assert np.linalg.eigvalsh(J.T @ J - errors @ errors.T).min() > -1e-6 * np.linalg.norm(J) ** 2
+    np.testing.assert_allclose(
+        J.T @ J, sighting.biased.marginal(1.0).information(H), rtol=1e-6, atol=1e-6 * (J**2).sum()
+    )
+
+
+@pytest.mark.parametrize("bends", [False, True])
+def test_a_board_that_is_not_flat_does_not_average_away(bends):
+    """Its error is the landmark's, in all sightings of it: twelve know its turn no better than the board lets them."""
+    poses, found = estimates(at(6.0, 1.0, 0.3, 0.2), 12, 3, moved=0.5)
+    error, tilt = SharedError(SURFACE[0]), 0.02
+    effect = np.eye(6)[:, [1]] * tilt
+    bent = [
+        replace(one, shared=one.shared.displaced([error], effect, one.T_target_lidar)) if bends else one
+        for one in found
+    ]
+    problem = known(poses, bent)
+    solution = solve_batch(problem, robust=False)
+    sd = np.sqrt(np.diag(solution.covariance(["a"])))[1]
+    assert sd > 0.95 * tilt if bends else sd < 0.5 * tilt

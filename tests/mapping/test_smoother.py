@@ -65,7 +65,7 @@ def test_a_lag_marginalises_what_is_old():
     windowed, full = Smoother(5.0), Smoother()
     run(windowed, 40)
     run(full, 40)
-    full.update([], gtsam.Values(), force=True)  # else it is linearised again in every tenth update only
+    full.relinearise()  # else it is linearised again in every tenth update only
     assert X(0) not in windowed
     assert X(35) in windowed
     # Marginalised, not dropped: estimates and covariances are those of all poses, linearised up to RELINEARISE apart.

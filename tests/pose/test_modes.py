@@ -1,11 +1,14 @@
 """Modes: none is missed, their masses decide, and a pose that is called ok is not another."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from optshape_graph import Scan, Target
 from optshape_graph.evaluation.simulation import SimulationSweep, run_simulation
 from optshape_graph.factors.measurement import refine
+from optshape_graph.factors.static import AZIMUTH, ELEVATION, BiasedMeasurement, SharedError
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import PoseOptions, estimate_pose, modes
 from optshape_graph.pose.evidence import measure
@@ -45,7 +48,7 @@ def test_a_flip_is_never_ok(tmp_path) -> None:
     e_r = np.array([row["e_r_deg"] for row in rows], dtype=float)
     ok = np.array([row["status"] == "ok" for row in rows])
     assert not (ok & (e_r > 90)).any()
-    assert ok.mean() > 0.5
+    assert ok.mean() >= 0.6
     assert np.mean(e_r > 90) < 0.15
 
 
@@ -61,16 +64,18 @@ def far_scan(seed: int) -> tuple[Scan, Target]:
 def test_what_was_sampled_is_what_the_measurement_says(seed: int) -> None:
     """Its minimum, within 0.05 standard deviations, and its covariance; and half a turn costs over 50.
 
-    Samples may scatter more than the returns of the plane allow, by chance: up to 10 %, in one direction.
+    Samples may scatter more than the returns of the plane allow, by chance: up to 10 %, in one direction. (Rings'
+    errors move plane and edges together, which samples don't know: here they move each for itself.)
     """
     scan, target = far_scan(seed)
     evidence = measure(scan, target, PoseOptions())
-    sampled = compare_modes(find_candidates(evidence), evidence).sampled
+    sampled = compare_modes(find_candidates([evidence])[0], evidence).sampled
     assert sampled is not None
     problem = evidence.problem
     offset_sd = problem.beam.offset_of_rays(np.linalg.norm(problem.edges.points, axis=1))
-    on_edges, _ = sampled_measurement(sampled, evidence.on_plane, offset_sd)
-    measurement = (on_edges + evidence.on_plane).of_one_scan().at(sampled.T_target_lidar)
+    on_plane = evidence.on_plane.without([e for e in evidence.on_plane.shared if e.kind in (ELEVATION, AZIMUTH)])
+    shared, _ = sampled_measurement(sampled, on_plane, offset_sd)
+    measurement = shared.of_one_scan().at(sampled.T_target_lidar)
     covariance = sampled.covariance[:6, :6]
     T = refine(measurement)
     xi = difference(sampled.T_target_lidar, T)
@@ -79,6 +84,23 @@ def test_what_was_sampled_is_what_the_measurement_says(seed: int) -> None:
     np.testing.assert_allclose(np.linalg.eigvals(whitened).real, 1.0, atol=0.1)
     turned = np.diag([1.0, -1.0, -1.0, 1.0]) @ T
     assert measurement.error(turned) > measurement.error(T) + 50
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_was_sampled_says_what_scans_share(seed: int) -> None:
+    """Angles of rings turn the target in its plane; a hundred scans like this one are no surer than they allow."""
+    scan, target = far_scan(seed)
+    shared = estimate_pose(scan, target).shared
+    rings = np.unique(scan.ring)
+    assert {SharedError(kind, ring=int(ring)) for kind in (ELEVATION, AZIMUTH) for ring in rings} <= set(shared.shared)
+
+    def turn_variance(measurement: BiasedMeasurement) -> float:
+        exact = measurement.of_one_scan()
+        return float(np.linalg.inv(exact.at(refine(exact.at(shared.T_target_lidar))).information())[0, 0])
+
+    many = replace(shared, stack=10.0 * shared.stack)
+    angles_exact = many.rescaled(ELEVATION, 1e-6).rescaled(AZIMUTH, 1e-6)
+    assert 1.5 * turn_variance(angles_exact) < turn_variance(many) < turn_variance(shared)
 
 
 @pytest.mark.parametrize("name", ["paper", "square", "triangle"])

@@ -6,6 +6,7 @@
     B_l                      errors of LiDAR l's rings (ranges, elevations), in their standard deviations
     O_t                      (y, z) by which a printed pattern is off on target t, metres
     K_c                      the lens of camera c, where it may be another, in standard deviations of its prior
+    P_t                      how far the points of target t that such a camera saw are off, likewise
     V_p, D_c                 twists of a target that moves, and clocks: see `tracks` (a LiDAR's is among its errors)
     M_t                      how far the markers of target t are from its vertices, metres
 
@@ -15,19 +16,20 @@ A scan measures T_target_lidar = L^-1 X E, an image and markers its inverse.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, D, E, K, L, M, O, V, X
+from gtsam.symbol_shorthand import B, D, E, K, L, M, O, P, V, X
 
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.camera.factors import LENS, OFFSET_SIGMA_M
 from optshape_graph.calibration.camera.graph import Discrepancy
 from optshape_graph.calibration.camera.sightings import TargetInScan
+from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.calibration.rig.points import Corners, Marked, Points, Seen, split, with_lens
 from optshape_graph.calibration.rig.sightings import Sighting, TargetInMarkers, persistent, read_as
@@ -35,13 +37,15 @@ from optshape_graph.calibration.rig.start import Start
 from optshape_graph.calibration.rig.tracks import CLOCK_SIGMA, START_DENSITY, Smooth, Timed, Track
 from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors import RANGE_BIAS, BiasedMeasurement, SharedError
-from optshape_graph.factors._rows import triangular
+from optshape_graph.factors import BiasedMeasurement, SharedError, TemplateMeasurement
 from optshape_graph.graph import Chain, Inverse, SharedErrors, Solution, Term, solve
 from optshape_graph.se3 import adjoint, inverse
 
 MARKERS_OFF = 0.03
 """Standard deviation of a marker's place about its vertex along each axis, metres."""
+
+Place: TypeAlias = tuple[bool, tuple[float, ...]]
+"""Whether a point is printed, and where, metres, target frame."""
 
 CLOCK = SharedError("clock")
 """By how much a LiDAR's clock is ahead, among the errors that its scans share."""
@@ -143,6 +147,17 @@ class RigGraph(Value):
         return {name: k for k, name in enumerate(dict.fromkeys(s.target.name for s in self.start.sightings))}
 
     @cached_property
+    def places(self) -> dict[str, dict[Place, int]]:
+        """Of each target, a number for every point of it that images by free lenses show."""
+        found: dict[str, dict[Place, int]] = {}
+        for sighting in self.start.sightings:
+            if isinstance(sighting.seen, TargetInImage) and sighting.sensor in self.free_lenses:
+                numbers = found.setdefault(sighting.target.name, {})
+                for place in _places(sighting.seen.points.relabelled(sighting.S)):
+                    numbers.setdefault(place, len(numbers))
+        return found
+
+    @cached_property
     def measurements(self) -> dict[int, BiasedMeasurement]:
         """Of every scan, by number of the sighting, as it is read."""
         found: dict[int, BiasedMeasurement] = {}
@@ -152,9 +167,12 @@ class RigGraph(Value):
                 if sighting.sensor == lidar and isinstance(sighting.seen, TargetInScan):
                     numbers.append(n)
                     scans.append(sighting.seen)
-            for n, measurement in zip(numbers, persistent(scans, self.options.range_bias_sigma), strict=True):
-                given = _unbiased(measurement) if self.options.as_they_come else measurement
-                found[n] = read_as(given, self.start.sightings[n].S)
+            if self.options.as_they_come:
+                given = [_alone(scan.uncorrected) for scan in scans]
+            else:
+                given = persistent(scans, self.options.range_bias_sigma)
+            for n, measurement in zip(numbers, given, strict=True):
+                found[n] = read_as(measurement, self.start.sightings[n].S)
                 if lidar in self.discrepancy:
                     # Exp(x) T = T Exp(Ad(T^-1) x)
                     by = adjoint(inverse(found[n].T_target_lidar)) * self.discrepancy[lidar].sigmas
@@ -244,9 +262,12 @@ class RigGraph(Value):
         seen, number = sighting.seen, self.targets[sighting.target.name]
         if isinstance(seen, TargetInImage):
             points = seen.points.relabelled(sighting.S)
-            free = sighting.sensor in self.free_lenses
-            keys = [O(number)] * points.printed + [K(self._camera(sighting.sensor))] * free
-            return Corners(points, seen.camera, free), keys
+            keys = [O(number)] * points.printed
+            if sighting.sensor not in self.free_lenses:
+                return Corners(points, seen.camera), keys
+            numbers = self.places[sighting.target.name]
+            places = np.array([numbers[place] for place in _places(points)])
+            return Corners(points, seen.camera, places), [*keys, P(number), K(self._camera(sighting.sensor))]
         assert isinstance(seen, TargetInMarkers)
         near = sighting.target.vertices[seen.vertices]
         return Marked.of(seen.points, near, seen.vertices, seen.sigma, seen.of_body), [M(number)]
@@ -267,6 +288,7 @@ class RigGraph(Value):
         sizes = {name: len(s.target) for s in seen for name in [s.target.name]}
         sigmas = {O(number): np.array(OFFSET_SIGMA_M[1:]) for number in self.targets.values()}
         sigmas |= {M(n): np.full(3 * sizes[name], MARKERS_OFF) for name, n in self.targets.items() if name in sizes}
+        sigmas |= {P(self.targets[name]): np.ones(3 * len(places)) for name, places in self.places.items()}
         sigmas |= {K(self._camera(name)): np.ones(len(LENS)) for name in self.free_lenses}
         sigmas |= {D(self._camera(name)): np.ones(1) for name in start.T_base_sensor}
         for key in sorted(shared):
@@ -383,13 +405,14 @@ class RigSolution(Value):
         return {e: (float(x), float(s)) for e, x, s in zip(errors, values, sd, strict=True) if e != CLOCK}
 
 
-def _unbiased(measurement: BiasedMeasurement) -> BiasedMeasurement:
-    """The measurement with ranges taken for exact: what their biases move is measured. Other errors are each scan's."""
-    k = len(measurement.shared)
-    kept = [i for i, error in enumerate(measurement.shared) if error.kind != RANGE_BIAS]
-    stack = measurement.stack[:, [*kept, *range(k, k + 13)]]
-    errors = tuple(measurement.shared[i] for i in kept)
-    return replace(measurement, stack=triangular(stack), shared=errors).without(errors)
+def _places(points: ImagePoints) -> list[Place]:
+    """What tells points of a target from one another."""
+    return [(points.printed, tuple((np.round(point, 6) + 0.0).tolist())) for point in points.points]
+
+
+def _alone(measurement: TemplateMeasurement) -> BiasedMeasurement:
+    """The measurement of a scan that shares no errors with others."""
+    return BiasedMeasurement(measurement.stack, measurement.n_rows, measurement.T_target_lidar, ())
 
 
 def _inverse(chain: Chain) -> Chain:

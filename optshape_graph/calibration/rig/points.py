@@ -8,14 +8,14 @@ those of scans with a LiDAR's errors do.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import gtsam
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value
-from optshape_graph.calibration.camera.factors import INTRINSICS_SIGMA, LENS, CompiledCamera
+from optshape_graph.calibration.camera.factors import INTRINSICS_SIGMA, LENS, PRINT_SIGMA_M, CompiledCamera
 from optshape_graph.calibration.camera.lens import lens_derivative
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import whitened_errors
@@ -37,32 +37,40 @@ class Seen(Protocol):
 class Corners(Value):
     """Points of a target in an image.
 
-    beta is (y, z) of a printed pattern on its board, metres, where the points are a pattern's; then the lens, in
-    standard deviations from the one given, where it is free.
+    beta is (y, z) of a printed pattern on its board, metres, where the points are a pattern's; then, where the lens is
+    free, how far every point of the target is from where it should be, in PRINT_SIGMA_M, and the lens, in standard
+    deviations from the one given. A lens is told by what points leave, to which their own places matter.
 
     Attributes:
         points: as the sighting is read.
         camera: the lens as given.
-        free: whether it may be another.
+        places: (m,) number of each point among all of its target that images show; None: the lens is as given.
     """
 
     points: ImagePoints
     camera: CameraIntrinsics
-    free: bool = False
+    places: Ints | None = None
 
     def whitened(self, T_sensor_target: Floats, beta: Floats) -> tuple[Floats, Floats, Floats]:
         """See `Seen.whitened`."""
-        printed = 2 * self.points.printed
-        camera = with_lens(self.camera, beta[printed:]) if self.free else self.camera
-        T, moved = np.array(T_sensor_target), np.append(0.0, beta[:2]) if printed else np.zeros(3)
+        points, camera, T = self.points, self.camera, np.array(T_sensor_target)
+        printed = 2 * points.printed
+        moved = np.append(0.0, beta[:2]) if printed else np.zeros(3)
         T[:3, 3] += T[:3, :3] @ moved  # a pattern that is moved on its board is a board that is moved
-        r, by_pattern = whitened_errors(self.points, camera, T)
+        if self.places is not None:
+            off, lens = beta[printed : -len(LENS)].reshape(-1, 3), beta[-len(LENS) :]
+            points = replace(points, points=points.points + PRINT_SIGMA_M * off[self.places])
+            camera = with_lens(camera, lens)
+        r, by_pattern = whitened_errors(points, camera, T)
         # T Exp(xi) Trans(m) = T Trans(m) Exp(xi') with xi' = (w, v - m x w)
         by_pose = by_pattern.copy()
         by_pose[:, :3] -= by_pattern[:, 3:] @ skew(moved)
         columns = [by_pattern[:, 4 : 4 + printed]]
-        if self.free:
-            columns.append(lens_derivative(self.points, CompiledCamera.of(camera), T) * INTRINSICS_SIGMA[LENS])
+        if self.places is not None:
+            by_place = np.zeros((len(points), 2, len(off), 3))
+            by_place[np.arange(len(points)), :, self.places] = by_pattern[:, 3:].reshape(-1, 2, 3)
+            columns.append(PRINT_SIGMA_M * by_place.reshape(len(r), -1))
+            columns.append(lens_derivative(points, CompiledCamera.of(camera), T) * INTRINSICS_SIGMA[LENS])
         return r, by_pose, np.hstack(columns)
 
 

@@ -23,7 +23,8 @@ def corners(free: bool) -> Corners:
     T_camera_target = inverse(T) @ exp([0.1, 0.2, 0.5, 3.2, 1.6, 0.2])
     pixels = project(PINHOLE, apply(T_camera_target, points))
     image = ImagePoints.of_pattern(points, pixels, 0.2)
-    return Corners(image, PINHOLE, free), T_camera_target
+    # Numbers of all points that images show, of which this one lacks the first.
+    return Corners(image, PINHOLE, np.arange(len(points), 0, -1) if free else None), T_camera_target
 
 
 def marked() -> tuple[Marked, np.ndarray]:
@@ -35,7 +36,7 @@ def marked() -> tuple[Marked, np.ndarray]:
 def cases():
     for free in (False, True):
         seen, T = corners(free)
-        yield f"corners {free}", seen, T, np.full(2 + 8 * free, 0.001)
+        yield f"corners {free}", seen, T, np.full(2 + (3 * (len(seen.points) + 1) + 8) * free, 0.001)
     seen, T = marked()
     yield "markers", seen, T, np.full(12, 0.004)
     seen, T = corners(False)
