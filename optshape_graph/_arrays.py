@@ -14,11 +14,11 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 LONGEST_REPR = 200
-"""Characters of a `repr`."""
+"""Characters that a `repr` has at most."""
 
 
 def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
-    """Return `values` as an array that nobody writes to: a copy, unless they are that already and own their memory."""
+    """Return `values` as a read-only array: a copy, unless they are a read-only array that owns its memory."""
     if isinstance(values, np.ndarray) and values.dtype == dtype and values.base is None and not values.flags.writeable:
         return values
     array = np.array(values, dtype=dtype)
@@ -31,7 +31,7 @@ def owned(values: None, dtype: Any) -> None: ...
 @overload
 def owned(values: ArrayLike, dtype: Any) -> NDArray[Any]: ...
 def owned(values: ArrayLike | None, dtype: Any) -> NDArray[Any] | None:
-    """Return new values as a read-only array that `frozen` need not copy: for whoever made them and lets go of them."""
+    """Return values as a read-only array that `frozen` does not copy. The caller must not write to them afterwards."""
     if values is None:
         return None
     array = np.asarray(values, dtype=dtype)
@@ -41,7 +41,7 @@ def owned(values: ArrayLike | None, dtype: Any) -> NDArray[Any] | None:
 
 
 def refreeze(value: Any) -> None:
-    """Make the arrays in a value read-only: pickles and deep copies bring them back writable."""
+    """Make the arrays in a value read-only again: after a pickle or a deep copy they are writable."""
     if isinstance(value, np.ndarray):
         value.setflags(write=False)
     elif isinstance(value, tuple | list):
@@ -53,7 +53,7 @@ def refreeze(value: Any) -> None:
 
 
 def alike(a: Any, b: Any) -> bool:
-    """Say whether two values are the same, arrays and what holds them included; NaN is the same as NaN."""
+    """Return whether two values are equal, with the arrays in them compared by their numbers; NaN equals NaN."""
     if a is b:
         return True
     if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
@@ -67,7 +67,7 @@ def alike(a: Any, b: Any) -> bool:
 
 
 class Value:
-    """Base of frozen dataclasses, which are declared with `eq=False, repr=False`: what they do alike is here."""
+    """Base of frozen dataclasses, which are declared with `eq=False, repr=False`: equality, hash, `repr`, copies."""
 
     if TYPE_CHECKING:
         __dataclass_fields__: ClassVar[dict[str, Any]]
@@ -86,13 +86,13 @@ class Value:
         return shortened(f"{type(self).__name__}({', '.join(parts)})")
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take what a pickle or a copy brings, arrays read-only."""
+        """Restore the fields from a pickle or a copy, arrays read-only."""
         refreeze(state)
         self.__dict__.update(state)
 
 
 def brief(value: Any) -> str:
-    """Return a value in a few characters: arrays by their shape, or their numbers where there are few."""
+    """Return a value in a few characters: an array as its shape, or as its numbers where there are few."""
     if isinstance(value, np.ndarray):
         if value.ndim == 1 and value.size <= 3:
             return "(" + ", ".join(f"{number:g}" for number in value) + ")"
@@ -107,13 +107,13 @@ def brief(value: Any) -> str:
 
 
 def shortened(text: str) -> str:
-    """Return the text of a `repr`, of one line and not longer than one may be."""
+    """Return the text of a `repr` in one line, cut to `LONGEST_REPR`."""
     line = " ".join(text.split())
     return line if len(line) <= LONGEST_REPR else line[: LONGEST_REPR - 4] + "...)"
 
 
 def _key(value: Any) -> Hashable:
-    """What hashes alike for equal values: -0.0 equals 0.0, NaN itself, and a dictionary has no order."""
+    """Return a key that equal values share: -0.0 equals 0.0, NaN equals NaN, and dictionaries have no order."""
     if isinstance(value, np.ndarray):
         return value.shape, (value + 0).tobytes()
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Faces of packages whose modules are imported when a name of theirs is first used."""
+"""Packages that import a module when one of its names is first used."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def lazy(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], Any]
 
     Args:
         package: its name.
-        modules: each module below the package, and the names that come from it, apart by spaces.
+        modules: each module below the package, and the names that come from it, separated by spaces.
     """
     face = vars(sys.modules[package])
     homes = {name: module for module, names in modules.items() for name in names.split()}

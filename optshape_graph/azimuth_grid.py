@@ -1,11 +1,11 @@
-"""Noisy angles, put right: elevations back on the cone of their ring, azimuths on the grid of firings.
+"""Correct noisy angles: move elevations to the cone of their ring, and azimuths to the grid of firings.
 
-Angular noise shows in the elevations, which should not vary within a ring, and is taken out of them. It is taken to be
-alike in azimuth, where a spinning LiDAR's firings are a known step apart: the n returns of a ring come from consecutive
-ones. Their number fixes the chord's width to within a step, whatever the noise; their mean fixes where the firings are,
-to sigma / sqrt(n). So the boundary is within a step beyond the first and the last *firing*, as for exact azimuths, and
-both ends share one Gaussian shift. (The extremes of the noisy azimuths themselves lie beyond the boundary, and scatter
-as the noise does.)
+Elevations should not vary within a ring, so their scatter measures the angular noise, and can be removed. Azimuths are
+assumed to have the same noise. A spinning LiDAR's firings are a known step apart, and the n returns of a ring come from
+consecutive firings. The number n fixes the chord's width to within a step, whatever the noise; the mean azimuth fixes
+where the firings are, to sigma / sqrt(n). So the boundary lies within a step beyond the first and the last *firing*, as
+for exact azimuths, and both ends share one Gaussian shift. (The extremes of the noisy azimuths themselves lie beyond
+the boundary, and scatter as much as the noise.)
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from optshape_graph.gaussian import f_tail, ndtr
 from optshape_graph.scan import Scan
 
 NEGLIGIBLE = 1e-4
-"""Scatter of elevations within a ring, rad, below which angles count as exact: that of real sensors, to rounding."""
+"""Scatter of elevations within a ring, rad, below which angles count as exact, as those of real sensors do."""
 
 GAP_EVIDENCE = 7.0
-"""Gain in log likelihood from which on a firing within a ring is taken to have returned nothing: one in 1,000 does."""
+"""A firing within a ring counts as lost if that gains as much in log likelihood: one firing in 1,000 is lost."""
 
 IRREGULAR = 4.0
-"""Standard deviations by which azimuths may scatter more about the grid than elevations do, before there is none."""
+"""Azimuths count as off any grid if they scatter more than elevations do by this many standard deviations."""
 
 
 def level_rings(scan: Scan) -> tuple[Scan, float]:
-    """Put every return back on the cone of its ring, and say how far the returns were off it.
+    """Move every return to the cone of its ring, and measure how far the returns were off it.
 
-    A ring's elevation is the sensor's, where its returns agree with it, else their mean. An angular noise is taken
-    to be alike in azimuth, where it cannot be taken out.
+    A ring's elevation is the sensor's, if the returns agree with it, else their mean. Azimuths are assumed to have the
+    same noise; there it cannot be removed.
 
     Args:
         scan: the returns of one target, with rings.
 
     Returns:
-        The scan, unchanged where its angles are exact; and the standard deviation of an angle, rad.
+        The scan, unchanged if its angles are exact; and the standard deviation of an angle, rad.
     """
     if scan.ring is None or len(scan) == 0:
         return scan, 0.0
@@ -54,7 +54,7 @@ def level_rings(scan: Scan) -> tuple[Scan, float]:
         return scan, 0.0
     level, known = _known(scan, rings, mean, noise / np.sqrt(counts))
     level = level[inverse]
-    # A known elevation is no unknown: far away, where rings have few returns, that is half of what there is.
+    # A known elevation takes no degree of freedom: far away, where rings have few returns, that doubles what is left.
     noise = float(np.sqrt(((elevation - level) ** 2).sum() / (len(scan) - (~known).sum())))
     ranges = np.linalg.norm(scan.points, axis=1)
     horizontal = scan.points[:, :2] / np.maximum(flat, 1e-12)[:, None]
@@ -63,7 +63,7 @@ def level_rings(scan: Scan) -> tuple[Scan, float]:
 
 
 def _known(scan: Scan, rings: Ints, mean: Floats, error: Floats) -> tuple[Floats, Bools]:
-    """Elevation of each ring: the sensor's table where the mean agrees with it, within 5 standard errors; and where."""
+    """Return each ring's elevation, and whether it is the table's: where the mean is within 5 standard errors of it."""
     if scan.sensor is None or rings.max() >= scan.sensor.n_rings:
         return mean, np.zeros(len(rings), dtype=bool)
     table = scan.sensor.elevations[rings]
@@ -74,8 +74,8 @@ def _known(scan: Scan, rings: Ints, mean: Floats, error: Floats) -> tuple[Floats
 def place_on_firings(edges: EdgePoints, scan: Scan, azimuth_noise: float) -> EdgePoints:
     """Move the ends of rings to the first and last firing that returned.
 
-    Where the returns are not on a regular grid (several revolutions merged, firings that jitter), the ends stay at the
-    extremes, and the boundary where extremes of noisy azimuths say it is.
+    If the returns are not on a regular grid (several revolutions merged, firings that jitter), the ends stay at the
+    extremes, and the boundary is where extremes of noisy azimuths put it.
 
     Args:
         edges: both ends of each ring, at the extremes.
@@ -117,9 +117,13 @@ def place_on_firings(edges: EdgePoints, scan: Scan, azimuth_noise: float) -> Edg
 
 
 def _slots(steps: Floats, jitter: float) -> Floats:
-    """Firing (R, N) of each return, 0 for the leftmost, from azimuths in steps, from the left, padded with NaN.
+    """Return the firing (R, N) of each return, 0 for the leftmost.
 
-    Consecutive, unless the azimuths are likelier by GAP_EVIDENCE with a firing left out between two of them.
+    Firings are consecutive, unless the azimuths are likelier by GAP_EVIDENCE with a firing lost between two of them.
+
+    Args:
+        steps: (R, N) azimuths in steps, from the left, padded with NaN.
+        jitter: standard deviation of an azimuth, in steps.
     """
     slots = np.where(np.isnan(steps), np.nan, np.arange(steps.shape[1], dtype=float))
     counts = (~np.isnan(steps)).sum(axis=1)
@@ -140,7 +144,7 @@ def _slots(steps: Floats, jitter: float) -> Floats:
 
 
 def _extremes(edges: EdgePoints, revolutions: Floats | Ints, returns: Ints, jitter: float) -> EdgePoints:
-    """Set the boundary where the outermost of several noisy azimuths says it is: before it, and scattering."""
+    """Set the boundary by the outermost of several noisy azimuths: it lies inside that azimuth, with a scatter."""
     reach = np.minimum(returns, int(np.ceil(6 * jitter)) + 2)
     pairs = list(zip(reach.tolist(), np.asarray(revolutions, dtype=int).tolist(), strict=True))
     moments = {pair: _overshoot(jitter, *pair) for pair in set(pairs)}
@@ -157,10 +161,10 @@ def _extremes(edges: EdgePoints, revolutions: Floats | Ints, returns: Ints, jitt
 
 
 def _overshoot(jitter: float, returns: int, revolutions: int) -> tuple[float, float]:
-    """Mean and variance of how far the outermost of some returns lies beyond the boundary, in azimuth steps.
+    """Return mean and variance of how far the outermost of some returns lies beyond the boundary, in azimuth steps.
 
-    The outermost of -(k + U) + jitter Z_k, k = 0 ... returns - 1, U uniform on a step and common to a revolution, Z_k
-    normal.
+    That is the largest of -(k + U) + jitter Z_k, k = 0 ... returns - 1, with Z_k normal, and U uniform on a step and
+    common to a revolution.
     """
     phase = (np.arange(16) + 0.5) / 16
     x = np.linspace(-1.0 - 5 * jitter, 5 * jitter, 400)
@@ -173,10 +177,10 @@ def _overshoot(jitter: float, returns: int, revolutions: int) -> tuple[float, fl
 
 
 def at_firing_times(scan: Scan) -> Scan:
-    """Turn each ring by as far as the sensor had turned when it fired, where the driver hasn't.
+    """Turn each ring by the angle that the sensor had turned when the ring fired, unless the driver has done so.
 
-    Drivers that give all lasers of a cycle one azimuth leave rings on one grid; those that don't leave them on grids
-    that are apart by the firing times. The grid in which the azimuths agree better, ring to ring, is the scan's.
+    A driver that gives all lasers of a cycle one azimuth leaves the rings on one grid; other drivers leave them on
+    grids shifted by the firing times. The grid on which the azimuths of different rings agree better is the scan's.
 
     Args:
         scan: with rings; one whose sensor states no firing times or no azimuth step is returned as it is.
@@ -195,10 +199,13 @@ def at_firing_times(scan: Scan) -> Scan:
 
 
 def tilt_of_rings(scan: Scan) -> tuple[float, float]:
-    """How elevations vary with azimuth within rings: rms, rad, of a line through each, and its probability by chance.
+    """Return how elevations vary with azimuth within rings.
 
-    A ring is a cone about the sensor's own axis. In the frame of a vehicle, or after points were corrected for motion,
-    it is none.
+    A ring is a cone about the sensor's own axis. In the frame of a vehicle, or after a correction for motion, its
+    elevations vary.
+
+    Returns:
+        The rms, rad, of a line fitted to each ring, and the probability of as much by chance.
     """
     assert scan.ring is not None
     elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))

@@ -1,4 +1,4 @@
-"""A beam of some width at the edge of a target: which of its returns still lie on the target."""
+"""The width of a beam, and how a ring ends at an edge because of it."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from optshape_graph.sensor import SensorModel
 
 @dataclass(frozen=True)
 class Beam:
-    """The width of a beam, and how ring ends scatter about an edge for it.
+    """The width of a beam, and how ring ends scatter about an edge because of it.
 
-    A return near an edge comes from part of the beam. Which part decides is a matter of reflectance and threshold,
-    so the edge seems to lie further out or in, across the edge: by something common to a scan, and by something
-    of each point's own, either uniform over at most the beam's width.
+    A return near an edge comes from part of the beam. How large a part suffices depends on reflectance and threshold,
+    so the edge seems to lie further out or further in. The offset across the edge has a part that is common to a scan
+    and a part of each point's own; each is uniform over at most the beam's width.
 
     Attributes:
         divergence: full angle, rad.
         aperture: width where it leaves the sensor, metres.
         blooming: standard deviation of the azimuth by which a scan's rings reach further on each side, rad.
         offset: mean of the offset that all edge points of a scan share, in beam widths.
-        common: its standard deviation.
+        common: standard deviation of that offset, in beam widths.
     """
 
     divergence: float
@@ -39,7 +39,7 @@ class Beam:
 
     @classmethod
     def of(cls, sensor: SensorModel | None) -> Beam:
-        """Take the beam of a sensor; an unknown one has a beam of 3 mrad, a centimetre wide at first."""
+        """Return the beam of a sensor; that of an unknown one diverges by 3 mrad and leaves it a centimetre wide."""
         if sensor is None:
             return cls(3e-3, 0.01)
         return cls(
@@ -52,11 +52,11 @@ class Beam:
         return self.divergence + self.aperture == 0
 
     def width(self, ranges: Floats) -> Floats:
-        """Width of the beam at ranges (...), metres; an ideal beam's still is a tenth of a millimetre."""
+        """Return the width of the beam at ranges (...), metres; that of an ideal beam is a tenth of a millimetre."""
         return np.maximum(self.aperture + self.divergence * ranges, 1e-4)
 
     def offset_of_rays(self, ranges: Floats) -> float:
-        """Standard deviation of an offset across all edges that stands for blooming too, in beam widths.
+        """Return the standard deviation of the offset across all edges with blooming included, in beam widths.
 
         Args:
             ranges: (N,) metres.
@@ -65,20 +65,20 @@ class Beam:
 
 
 FINEST_STEP = 0.2
-"""Step across an edge, in beam widths, below which a ring runs along it: where it ends is up to a vertex, not to the
-rays that happen to return, and counts as at this step."""
+"""Smallest step across an edge, in beam widths, that counts. With a smaller one a ring runs along the edge, and ends at
+a vertex, not where rays happen to return."""
 
 
 def outermost_return(step: Floats) -> tuple[Floats, Floats]:
-    """How a ring's last return lies and scatters about an edge where several rays fall within the beam's width of it.
+    """Return where a ring's last return lies about an edge, and its scatter, if several rays are within a beam's width.
 
-    It is the outermost of those that happened to return: further out than a single ray would be, and scattering less.
+    It is the outermost of the rays that returned: further out than a single ray would be, with less scatter.
 
     Args:
         step: (...) how far across the edge the ring's next ray is, in beam widths.
 
     Returns:
-        How much further out it lies, in beam widths, and its scatter against that of a single ray, each (...).
+        How much further out it lies, in beam widths, and its scatter over that of a single ray, each (...).
     """
     steps, shift, share = _outermost()
     step = np.maximum(step, FINEST_STEP)
@@ -87,10 +87,10 @@ def outermost_return(step: Floats) -> tuple[Floats, Floats]:
 
 @cache
 def _outermost() -> tuple[Floats, Floats, Floats]:
-    """The table behind `outermost_return`, by step.
+    """Return the table behind `outermost_return`, by step.
 
-    Rays a step apart, in any phase, each return with a probability that falls from 1 to 0 over the beam's width. What
-    the phase itself shifts and scatters is taken out.
+    Rays a step apart, in any phase, each return with a probability that falls from 1 to 0 over the beam's width. The
+    shift and the scatter by the phase itself are subtracted.
     """
     steps, phase = np.geomspace(FINEST_STEP, 1.0, 8), (np.arange(16) + 0.5) / 16
     x = np.linspace(-1.5, 0.5, 401)

@@ -8,7 +8,7 @@ from optshape_graph._arrays import Floats
 
 
 def sight_planes(corners: Floats) -> Floats:
-    """(S, n, 3) outward unit normals of the planes through the sensor and each edge of polygons (S, n, 3), metres."""
+    """Return outward unit normals (S, n, 3) of the planes through sensor and edges of polygons (S, n, 3), metres."""
     normal = np.cross(corners, np.roll(corners, -1, axis=1))
     inwards = np.sign((normal * corners.mean(axis=1, keepdims=True)).sum(axis=-1, keepdims=True))
     return np.asarray(-inwards * normal / np.linalg.norm(normal, axis=-1, keepdims=True))
@@ -17,7 +17,7 @@ def sight_planes(corners: Floats) -> Floats:
 def chords(
     normals: Floats, elevations: Floats, reference_azimuth: Floats | float, margin: Floats | float = 0.0
 ) -> tuple[Floats, Floats]:
-    """Azimuths between which rings are inside polygons, or outside by at most an angle.
+    """Return the azimuths between which rings are inside polygons, or outside by at most an angle.
 
     A ray of azimuth a and elevation e is outside edge k by the angle asin(m . d): at most `margin` where
     m_x cos a + m_y sin a <= (sin margin - m_z sin e) / cos e, an arc. The chord is where all arcs meet.

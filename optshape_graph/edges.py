@@ -1,8 +1,7 @@
 """Edge points: the returns at the two ends of each ring on a target.
 
-A ring's last return on the target lies inside the true edge by part of an azimuth step, so an edge point
-carries the direction along its ring in which the edge is to be looked for (`outward`), and the interval in which it
-lies.
+A ring's last return on the target lies inside the true edge by part of an azimuth step. So an edge point comes with the
+direction along its ring in which the edge lies (`outward`), and with the interval in which it lies.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ UP, DOWN = 2, -2
 """Returns of the highest and of the lowest ring, beyond which the next ring has none."""
 
 KNOWN_LOST = (10.0, 0.4)
-"""Rings that count as tried before a scan, and as lost: one in 25, as on recordings."""
+"""Prior of `lost_rings`: so many rings met a target, and so many of them were lost. One in 25 is, on recordings."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,12 +38,12 @@ class EdgePoints(Value):
         azimuth: (M,) rad, relative to `reference_azimuth`, increasing to the left.
         index: (M,) row of the scan that each point is.
         revolutions: (M,) how many revolutions were merged in the point's ring.
-        lower: (M,) angle beyond each point, outwards, from which on the boundary may lie, rad: 0, or inside the point
-            as far as it is parted from the rest of its ring, for it may be a stray.
-        upper: (M,) angle up to which it may, rad: one step on, for one revolution.
-        scatter: (M,) standard deviation of the interval's place, each point's own, rad: 0 for exact azimuths.
-        shift: (M,) standard deviation of the place of a whole ring, by which both its ends move the same way, rad: 0
-            for exact azimuths.
+        lower: (M,) lower end of the interval of the boundary, an angle outwards from each point, rad. It is 0; negative
+            where a gap separates the point from the rest of its ring, since it may be a stray.
+        upper: (M,) upper end of that interval, rad: a step, for one revolution.
+        scatter: (M,) standard deviation of the interval's place, independent for each point, rad; 0 for exact azimuths.
+        shift: (M,) standard deviation of the place of a whole ring, which moves both its ends the same way, rad; 0 for
+            exact azimuths.
         reference_azimuth: azimuth of the target's returns in the LiDAR frame, rad.
         azimuth_step: rad between two firings of a beam in one revolution.
     """
@@ -70,7 +69,7 @@ class EdgePoints(Value):
 
     @classmethod
     def none(cls) -> EdgePoints:
-        """Return no edge points: of a cloud without rings."""
+        """Return no edge points, for a cloud without rings."""
         counts, angles = np.zeros(0, dtype=np.int64), np.zeros(0)
         return cls(
             points=np.zeros((0, 3)), ring=counts, side=counts, azimuth=angles, index=counts, revolutions=counts,
@@ -102,13 +101,13 @@ class EdgePoints(Value):
 
     @property
     def lost_rings(self) -> float:
-        """Share of rings that return nothing though they meet the target, from those between the lowest and highest."""
+        """Share of rings that meet the target but return nothing, by those between the lowest and the highest."""
         between = self.ring.max() - self.ring.min() + 1
         tried, lost = KNOWN_LOST
         return float((between - self.n_rings + lost) / (between + tried))
 
     def outward(self, normal: Floats) -> Floats:
-        """Motion of each point in the target's plane, away from its inside, per radian of azimuth (or elevation).
+        """Return the outward motion of each point in the target's plane, per radian of azimuth (or elevation).
 
         Args:
             normal: (3,) normal of the target's plane, LiDAR frame.
@@ -129,19 +128,19 @@ class EdgePoints(Value):
 
 
 def leftward(points: Floats) -> Floats:
-    """(N, 3) motion of points (N, 3) as their azimuth grows, metres per radian."""
+    """Return the motion (N, 3), metres per radian, of points (N, 3) as their azimuth grows."""
     return np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
 
 
 def upward(points: Floats) -> Floats:
-    """(N, 3) motion of points (N, 3) as their elevation grows at constant range, metres per radian."""
+    """Return the motion (N, 3), metres per radian, of points (N, 3) as their elevation grows at constant range."""
     x, y, z = points.T
     flat = np.hypot(x, y)
     return np.column_stack([-x * z / flat, -y * z / flat, flat])
 
 
 def relative_azimuth(points: Floats) -> tuple[Floats, float]:
-    """Azimuths of returns relative to their mean direction, right across the +-180 degree seam.
+    """Return the azimuths of returns relative to their mean direction; correct across the +-180 degree seam.
 
     Args:
         points: (N, 3) metres, LiDAR frame.
@@ -156,7 +155,7 @@ def relative_azimuth(points: Floats) -> tuple[Floats, float]:
 
 
 def azimuth_spacing(azimuth: Floats, ring: Ints) -> float | None:
-    """Median azimuth between neighbouring returns of a ring, rad; None where no ring has two returns.
+    """Return the median azimuth between neighbouring returns of a ring, rad; None if no ring has two returns.
 
     Args:
         azimuth: (N,) of each return, rad.
@@ -171,13 +170,13 @@ def azimuth_spacing(azimuth: Floats, ring: Ints) -> float | None:
 def extract_edge_points(scan: Scan) -> EdgePoints:
     """Find both ends of each ring, by azimuth.
 
-    The azimuth step is the sensor's; where it does not state one, the median spacing of the returns.
+    The azimuth step is the sensor's, or the median spacing of the returns if the sensor states none.
 
     Args:
         scan: the returns of one target, with rings.
 
     Raises:
-        EstimationError: no returns, no rings, or no azimuth step stated and none to be seen.
+        EstimationError: no returns, no rings, or no azimuth step, neither stated nor seen.
     """
     if len(scan) == 0:
         raise EstimationError(f"{scan.name}: no returns on the target")
@@ -220,12 +219,12 @@ def extract_edge_points(scan: Scan) -> EdgePoints:
 
 
 PARTED = 2.5
-"""Azimuth, in steps, by which a ring's outermost returns are parted from the rest where they may be strays: two missing
-firings. Most such ends of one recorded sensor lie outside the target, those of another on its rim."""
+"""Gap, in steps of azimuth, beyond which a ring's outermost returns may be strays: two firings are missing. Most such
+ends of one recorded sensor lie outside the target, those of another on its rim."""
 
 
 def _parted(azimuth: Floats, first: Ints, last: Ints, step: float) -> Floats:
-    """(M,) angle from each end of a ring inwards across a gap beside its outermost two returns; 0 where none is.
+    """Return the angle (M,) from each end of a ring inwards across a gap after its first or second return; 0: no gap.
 
     Args:
         azimuth: (N,) of the returns, ring by ring, falling within each, rad.
@@ -245,9 +244,9 @@ def _parted(azimuth: Floats, first: Ints, last: Ints, step: float) -> Floats:
 
 
 def with_top_and_bottom(edges: EdgePoints, scan: Scan) -> EdgePoints:
-    """Add a return of the highest ring and one of the lowest: the target ends before the next ring.
+    """Add a return of the highest ring and one of the lowest, since the target ends before the next ring.
 
-    They are from the middle of their rings. Where the sensor has no further ring, or is unknown, nothing is added.
+    Each is from the middle of its ring. Nothing is added where the sensor has no further ring, or is unknown.
 
     Args:
         edges: both ends of each ring.
@@ -282,10 +281,10 @@ def with_top_and_bottom(edges: EdgePoints, scan: Scan) -> EdgePoints:
 
 
 def extreme_width(revolutions: Floats) -> Floats:
-    """(R,) how far beyond a ring's last return the boundary may lie, in units of azimuth steps.
+    """Return how far beyond a ring's last return the boundary may lie, in azimuth steps (R,).
 
-    One step for one revolution: the phase of the firing is uniform. The extreme of k revolutions lies nearer; the
-    uniform density with its mean square is sqrt(6 / ((k + 1)(k + 2))) wide.
+    That is one step for one revolution, since the phase of the firing is uniform. The extreme of k revolutions lies
+    nearer; the uniform density of the same mean square is sqrt(6 / ((k + 1)(k + 2))) wide.
 
     Args:
         revolutions: (R,) number merged in each ring.

@@ -1,4 +1,4 @@
-"""Exceptions of the package: every error a caller is expected to handle derives from one class."""
+"""Exceptions of the package: every error that a caller may handle derives from one class."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class InputError(OptshapeError, ValueError):
 
 
 class EstimationError(OptshapeError):
-    """A well-formed input from which no estimate can be made (too few returns, one visible edge, ...)."""
+    """No estimate can be made from an input that is well formed (too few returns, one visible edge, ...)."""
 
 
 class UnobservableError(EstimationError):

@@ -1,10 +1,10 @@
-"""The normal distribution: its tails in logarithms, to the last digits, and its moments within intervals; in NumPy.
+"""The normal distribution in NumPy: logarithms of its tails, to rounding, and its moments within intervals.
 
-SciPy has the same; importing `scipy.special` takes longer than estimating a pose, and most runs estimate few.
+SciPy has the same, but importing `scipy.special` takes longer than estimating a pose, and most runs estimate few.
 
-With t = |x| / sqrt(2) the smaller tail is erfc(t) / 2. Below t = 1 that is 1 - erf(t), erf being t times a ratio of
-polynomials in t^2; from there on it is exp(-t^2) times a ratio in t. The ratios are those of Cephes (Moshier, Methods
-and Programs for Mathematical Functions, 1989).
+With t = |x| / sqrt(2) the smaller tail is erfc(t) / 2. Below t = 1, erfc(t) is 1 - erf(t), and erf(t) is t times a
+ratio of polynomials in t^2; from t = 1 on, erfc(t) is exp(-t^2) times a ratio in t. The ratios are those of Cephes
+(Moshier, Methods and Programs for Mathematical Functions, 1989).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _FAR = (
 )  # fmt: skip
 
 _FAR_FROM = 8.0
-"""t from which on the ratio for far tails is taken."""
+"""From this t on, the ratio for far tails is used."""
 
 _LOG_SQRT_2PI = 0.5 * np.log(2 * np.pi)
 
@@ -63,7 +63,7 @@ def log_ndtr(x: ArrayLike) -> Floats:
 
 
 def logsumexp(values: ArrayLike, axis: int | None = None) -> Floats:
-    """Return the logarithm of the sum of the exponentials of values (...), along an axis or of all: numbers."""
+    """Return the logarithm of the sum of exponentials of values (...), numbers, along an axis or of all of them."""
     values = np.asarray(values, float)
     top = np.max(values, axis=axis, keepdims=True)
     top = np.where(np.isfinite(top), top, 0.0)
@@ -78,7 +78,7 @@ def _erf(t: Floats) -> Floats:
 
 
 def _scaled_tail(t: Floats) -> Floats:
-    """Return exp(t^2) erfc(t) for t from 1 on; below, anything finite."""
+    """Return exp(t^2) erfc(t) for t >= 1; for smaller t some finite number."""
     tail, far = _ratio(_NEAR, np.clip(t, 1.0, _FAR_FROM)), t > _FAR_FROM
     if far.any():
         reached = np.minimum(t[far], 1e30)
@@ -87,7 +87,7 @@ def _scaled_tail(t: Floats) -> Floats:
 
 
 def _ratio(of: tuple[list[float], list[float]], x: Floats, flipped: bool = False) -> Floats:
-    """Return a ratio of polynomials; flipped: in 1 / x, where its powers would overflow, times x."""
+    """Return a ratio of polynomials in x; flipped: x times the ratio in 1 / x, for x whose powers would overflow."""
     top, bottom = (part[::-1] if flipped else part for part in of)
     return np.asarray(_polynomial(top, x) / _polynomial(bottom, x))
 
@@ -103,9 +103,9 @@ def _polynomial(coefficients: list[float], x: Floats) -> Floats:
 
 
 def chi_square_tail(square: float, freedom: float) -> float:
-    """Return the probability that a chi-square variable exceeds `square`, to a third of it; 1 without freedom.
+    """Return the probability that a chi-square variable exceeds `square`, within a third of it; 1 without freedom.
 
-    Its cube root is close to normal (Wilson and Hilferty, Proc. Natl. Acad. Sci. 17, 1931).
+    The cube root of the variable is close to normal (Wilson and Hilferty, Proc. Natl. Acad. Sci. 17, 1931).
     """
     if freedom <= 0:
         return 1.0
@@ -116,8 +116,8 @@ def chi_square_tail(square: float, freedom: float) -> float:
 def f_tail(ratio: float, k: float, freedom: float) -> float:
     """Return the probability that an F variable of (k, freedom) degrees exceeds `ratio`, at most three times too large.
 
-    It is the ratio of two whose cube roots are close to normal (Paulson, Ann. Math. Stat. 13, 1942). 1 where there are
-    not three degrees of freedom: then the approximation fails, and nothing is told by it.
+    The variable is a ratio of two whose cube roots are close to normal (Paulson, Ann. Math. Stat. 13, 1942). With fewer
+    than three degrees of freedom the approximation fails, and 1 is returned.
     """
     if freedom < 3:
         return 1.0
@@ -131,7 +131,7 @@ def _tail(z: float) -> float:
 
 
 def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats, Floats]:
-    """Moments of Gaussians truncated to intervals, stable far in the tails.
+    """Return the moments of Gaussians truncated to intervals, stable far in the tails.
 
     Args:
         mean: (...) of the Gaussian, in any unit.
@@ -144,7 +144,7 @@ def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floa
     """
     sd = np.sqrt(variance)
     a, b = (lower - mean) / sd, (upper - mean) / sd
-    right = a > 0  # mirror, so that the interval is never in the upper tail
+    right = a > 0  # mirrored, so that the interval is never in the upper tail
     a, b = np.where(right, -b, a), np.where(right, -a, b)
     log_a, log_b = log_ndtr(np.stack([a, b]))
     width = b - a
@@ -154,7 +154,7 @@ def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floa
         density_b = np.exp(-0.5 * b * b - _LOG_SQRT_2PI - log_mass)
         m = density_a - density_b
         v = 1.0 + np.where(np.isfinite(a), a * density_a, 0.0) - b * density_b - m * m
-    # Far out the density is exponential; in a narrow interval it is uniform, which is the same with a small rate.
+    # Far out the density is exponential; in a narrow interval it is uniform, an exponential of a small rate.
     far = (b < -300) | (width < 1e-3) | ~np.isfinite(log_mass) | ~(v > 0)
     m, v = np.clip(m, a, b), np.minimum(v, width**2 / 4)
     if far.any():
@@ -168,7 +168,7 @@ def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floa
 
 
 def _exponential_moments(rate: Floats, width: Floats) -> tuple[Floats, Floats]:
-    """Mean and variance of the exponential density of a rate on [0, width]; uniform where rate * width is small."""
+    """Return mean and variance of an exponential density on [0, width]; it is uniform where rate * width is small."""
     x = rate * width
     flat = x < 1e-2
     safe = np.where(flat, 1.0, x)
@@ -181,7 +181,7 @@ def _exponential_moments(rate: Floats, width: Floats) -> tuple[Floats, Floats]:
 def mixture_moments(
     mean: Floats, variance: Floats, lower: Floats, upper: Floats, log_density: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Moments of a Gaussian times a mixture of uniform densities.
+    """Return the moments of a Gaussian times a mixture of uniform densities.
 
     Args:
         mean: (...) of the Gaussian, in any unit.

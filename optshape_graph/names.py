@@ -1,7 +1,7 @@
-"""Names from data (targets, frames, topics, files) on their way out: one function for each place that they go to.
+"""Names that come from data (targets, frames, topics, files), made safe for each place where they are written.
 
-A file may call a target `../../x`, `$(reboot)`, `<script>` or anything else; each function here returns a form of the
-name that is only a name where it goes.
+A file may call a target `../../x`, `$(reboot)`, `<script>` or anything else. Each function returns a form of the name
+that cannot be taken for a path, a command, or markup.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ import re
 import shlex
 
 LONGEST_FILE_NAME = 100
-"""Characters of a name that becomes part of a file's name."""
+"""Characters that a name keeps as part of a file's name."""
 
 
 def shown(text: object, longest: int | None = None) -> str:
-    """Return a text for a terminal, in one line: what a terminal would obey is shown as an escape.
+    """Return a text as one line for a terminal, with control characters as escapes.
 
     Args:
         text: anything; its `str`.
-        longest: characters from which on the rest is left out; None: all of it.
+        longest: characters that are kept; None: all.
     """
     said = str(text)
     if longest is not None and len(said) > longest:
@@ -28,7 +28,7 @@ def shown(text: object, longest: int | None = None) -> str:
 
 
 def file_name(text: str) -> str:
-    """Return a text as part of a file's name, which leads to no other folder and is not hidden."""
+    """Return a text as part of a file's name, which stays in its folder and is not hidden."""
     return re.sub(r"[^\w.+@-]+", "_", text)[:LONGEST_FILE_NAME].lstrip(".") or "_"
 
 

@@ -46,9 +46,9 @@ class ReturnsPlane(Value):
 
 
 def fit_plane(points: Floats, ring: Ints | None) -> ReturnsPlane:
-    """Fit a plane to a target's returns; rings weigh by how many returns they have, but not in proportion.
+    """Fit a plane to a target's returns, with a weight for each ring that grows with its returns up to a limit.
 
-    A ring's range bias does not average away, so a ring counts at most like a few of its returns.
+    A ring's range bias does not average away, so a ring never counts for more than a few of its returns.
 
     Args:
         points: (N, 3) metres, LiDAR frame.

@@ -77,9 +77,9 @@ class Scan(Value):
 
 
 def without_duplicates(scan: Scan) -> tuple[Scan, int]:
-    """Return a scan with each return once, and how many exact copies were dropped.
+    """Return a scan without exact copies of returns, and the number of copies.
 
-    A driver that reports two returns of each firing repeats the one where there was no other. It says nothing new.
+    A driver that reports two returns for each firing repeats a return that was the only one.
     """
     if len(scan) < 2:
         return scan, 0
@@ -95,10 +95,9 @@ def without_duplicates(scan: Scan) -> tuple[Scan, int]:
 
 
 def put_right(scan: Scan) -> Scan:
-    """Return a scan with its returns where the sensor's file says that they are.
+    """Return a scan corrected for the known deviations of its sensor's rings in range, elevation and azimuth.
 
-    A calibrated sensor's rings measure too far, and look elsewhere than the driver's table says, by what is known: it
-    is taken out, once, for the returned scan's sensor has no such deviations.
+    The sensor of the returned scan has none of these deviations, so correcting it again changes nothing.
     """
     sensor = scan.sensor
     if sensor is None or scan.ring is None or sensor.put_right is sensor:
@@ -125,7 +124,7 @@ def moved(points: Floats, ring: Ints, range_bias: Floats, elevation: Floats, azi
 
 
 def rings_missing(scan: Scan) -> InputError:
-    """Return the error that a scan, in which targets are to be found, has no rings; it says what can be done."""
+    """Return the error for a scan without rings in which targets are to be found; its message says what to do."""
     return InputError(
         f"{scan.name}: its returns have no rings, and targets are found ring by ring; expected a ring for each, or the "
         "sensor whose table tells (--sensor). Livox and flash LiDARs have none: cut the target's returns out and use "

@@ -17,13 +17,13 @@ from optshape_graph._arrays import Floats, frozen
 from optshape_graph.errors import InputError
 
 RIGID = 1e-6
-"""Largest entry of R^T R - I that a rigid transform may have: what a text file with seven digits leaves."""
+"""Largest entry of R^T R - I that a rigid transform may have; a text file with seven digits stays below it."""
 
 _SMALL_ANGLE = 1.0
-"""Angle, rad, below which coefficients are summed as power series: above it their closed forms lose no digits."""
+"""Angle, rad, below which coefficients are summed as power series; above it their closed forms lose no digits."""
 
 _TERMS = 8
-"""Of those series: what is left out is below 1e-16 at the small angle."""
+"""Terms of those series; the remainder is below 1e-16 at the small angle."""
 
 _UNIT = np.eye(3)
 
@@ -36,11 +36,11 @@ class Pose3(Protocol):
 
 
 PoseLike: TypeAlias = ArrayLike | Pose3
-"""What is taken for a rigid transform: (4, 4), or a `gtsam.Pose3`."""
+"""A rigid transform as callers may give it: (4, 4), or a `gtsam.Pose3`."""
 
 
 def as_matrix(T: PoseLike) -> Floats:
-    """Return a transform as an array (..., 4, 4), not looked at: for what is asked thousands of times a second."""
+    """Return a transform as an array (..., 4, 4) without checking it, for calls made thousands of times a second."""
     return np.asarray(T.matrix() if hasattr(T, "matrix") else T, float)
 
 
@@ -49,10 +49,10 @@ def as_transform(T: PoseLike, what: str = "transform") -> Floats:
 
     Args:
         T: (4, 4), or a `gtsam.Pose3`.
-        what: it is, for the message.
+        what: its name in the message.
 
     Raises:
-        InputError: it is not a finite rigid transform.
+        InputError: not a finite rigid transform.
     """
     try:
         pose = frozen(as_matrix(T))
@@ -249,9 +249,9 @@ def relative_covariance(T_a_b: Floats, covariance: Floats, a: slice | None, b: s
 
     Args:
         T_a_b: (4, 4).
-        covariance: (n, n), in which the right perturbations of T_a and T_b have rows.
-        a: the rows of T_a's, rotation first; None: it is exact.
-        b: those of T_b's.
+        covariance: (n, n), with rows for the right perturbations of T_a and T_b.
+        a: rows of the perturbation of T_a, rotation first; None: T_a is exact.
+        b: rows of the perturbation of T_b, likewise.
     """
     J = np.zeros((6, len(covariance)))
     # (T_a Exp(x_a))^-1 T_b Exp(x_b) = T_a_b Exp(x_b - Ad(T_b_a) x_a)
@@ -293,7 +293,7 @@ def _series(theta: Floats, coefficient: Callable[[int], float], closed: Callable
 
 
 def _inverse_left_jacobian(w: Floats) -> Floats:
-    """J_l(w)^-1 (..., 3, 3) of SO(3), w at most pi long: I - W / 2 + (1 - (x / 2) cot(x / 2)) / x^2 W^2."""
+    """Return J_l(w)^-1 (..., 3, 3) of SO(3), w at most pi long: I - W / 2 + (1 - (x / 2) cot(x / 2)) / x^2 W^2."""
     theta, W = np.linalg.norm(w, axis=-1), skew(w)
     _, second, third = _coefficients(theta)
     return np.asarray(_UNIT - 0.5 * W + (0.5 * third - _fourth(theta)) / second * (W @ W))
@@ -303,7 +303,7 @@ def quaternion(R: Floats) -> Floats:
     """Unit quaternions (..., 4), real part first, of rotations (..., 3, 3)."""
     d = np.diagonal(R, axis1=-2, axis2=-1)
     trace = d.sum(axis=-1)
-    # Four multiples of the quaternion, row k by 4 q_k: the one of the largest entry loses no digits.
+    # Four multiples of the quaternion, row k by 4 q_k: the multiple by the largest entry loses no digits.
     rows = np.empty((*trace.shape, 4, 4))
     rows[..., 0, 0] = 1.0 + trace
     for i in range(3):

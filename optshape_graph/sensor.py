@@ -11,7 +11,7 @@ from optshape_graph._arrays import Floats, Ints, Value, frozen, shortened
 from optshape_graph.errors import InputError
 
 ELEVATION_ERROR, AZIMUTH_ERROR = np.radians(0.1), np.radians(0.05)
-"""Standard deviations over rings of how far elevations and azimuths of an unknown sensor are off, rad."""
+"""Standard deviations, over rings, of the errors of elevation and azimuth of an unknown sensor, rad."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -24,43 +24,43 @@ class SensorModel(Value):
         azimuth_step: rad between two firings of a beam; None: estimated from the returns.
         range_noise: standard deviation of one range, metres.
         ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
-        elevation_error: standard deviation over rings of how far elevations are off the table, rad. Makers state or are
-            found to keep a twentieth to a tenth of a degree. None: a tenth; of a beam without width, which only a
-            simulator has, 0.
-        azimuth_error: standard deviation over rings of how far a ring's azimuth is off, rad. None: a twentieth of a
-            degree, or 0, likewise.
+        elevation_error: standard deviation, over rings, of the error of a ring's elevation, rad. Makers state, or
+            measurements show, a twentieth to a tenth of a degree. None: a tenth of a degree, or 0 for a beam without
+            width, which only a simulator has.
+        azimuth_error: standard deviation, over rings, of the error of a ring's azimuth, rad. None: a twentieth of a
+            degree, or 0 for a beam without width.
         brightness_bias: standard deviation of the range bias that all returns of a surface in a scan share, metres:
             dark ones come late, bright ones early.
         blooming: standard deviation of the azimuth by which a target seems to reach further on each side than its
-            share of the beam says, rad: bright ones do.
-        odd_ends: share of ring ends that are not what they seem: the last return a stray, or a few lost beyond it.
+            part of the beam explains, rad; bright targets bloom.
+        odd_ends: share of ring ends whose last return is a stray, or beyond which a few returns are lost.
         beam_divergence: full angle of the beam, rad.
         beam_aperture: width of the beam where it leaves the sensor, metres.
         beam_crossing: where the beams cross, horizontal distance from the axis, metres; drivers report heights as if
             they met on the axis.
         azimuth_offsets: (R,) rad, each ring's azimuth relative to the sensor's at the time it fires; None: all 0.
-        firing_phases: (R,) when each ring fires, as a share of the cycle of firings, in [0, 1); None: all at once.
+        firing_phases: (R,) when each ring fires, as a fraction of the firing cycle, in [0, 1); None: all at once.
             The sensor turns clockwise, seen from above, by an azimuth step in a cycle.
-        firing_period: length of a cycle of firings, seconds.
+        firing_period: duration of a firing cycle, seconds.
         range_resolution: ranges are multiples of it, metres; 0: not quantised.
         min_range: nearer returns are not reported, metres.
         max_range: farther returns are not reported, metres.
         range_bias: (R,) metres by which each ring measures too far; None: 0.
-        range_bias_sd: (R,) standard deviation of what is left of each ring's range bias, metres; None: `ring_bias`.
+        range_bias_sd: (R,) standard deviation of each ring's range bias about `range_bias`, metres; None: `ring_bias`.
         elevation_sd: (R,) of each ring's elevation, rad; None: `elevation_error`.
         azimuth_sd: (R,) of each ring's azimuth offset, rad; None: `azimuth_error`.
         firing_sd: (R,) of each ring's firing phase; None: 0.
-        common_range_sd: standard deviation of a range bias that all rings have beside their own, metres.
-        common_elevation_sd: the same of elevations, rad.
-        common_azimuth_sd: the same of azimuths, rad.
-        reported_elevations: (R,) rad, those of the driver's table, with which points come; None: `elevations`.
-        reported_azimuth_offsets: (R,) rad, likewise; None: `azimuth_offsets`.
-        edge_offset: how far inside an edge the returns end, beside the step, in beam widths: mean of all edges.
-        edge_offset_sd: standard deviation of that, in beam widths; by default anywhere in the beam.
+        common_range_sd: standard deviation of a range bias that all rings share, beside their own, metres.
+        common_elevation_sd: standard deviation of an error of elevation that all rings share, rad.
+        common_azimuth_sd: standard deviation of an error of azimuth that all rings share, rad.
+        reported_elevations: (R,) rad, by which the driver makes points of ranges; None: `elevations`.
+        reported_azimuth_offsets: (R,) rad, by which the driver makes points of ranges; None: `azimuth_offsets`.
+        edge_offset: how far inside an edge the returns end, beside the part of the step, in beam widths: the mean.
+        edge_offset_sd: standard deviation of that offset, in beam widths. The default: uniform over the beam.
 
     Raises:
-        InputError: elevations not increasing or out of +-90 deg, a list of another length than the rings', a negative
-            or non-finite parameter, or no room between min_range and max_range.
+        InputError: elevations that do not increase or exceed +-90 deg, a list with other than one number per ring, a
+            negative or non-finite parameter, or a max_range that does not exceed min_range.
     """
 
     elevations: Floats
@@ -197,7 +197,7 @@ class SensorModel(Value):
 
     @property
     def deviations(self) -> tuple[Floats, Floats, Floats]:
-        """(R,) metres by which ranges are too long, (R,) and (R,) rad by which elevations and azimuths are too low."""
+        """(R,) metres by which ranges are too long, and (R,) rad by which elevations, and azimuths, are too low."""
         nothing = np.zeros(self.n_rings)
         range_bias = nothing if self.range_bias is None else self.range_bias
         reported, offsets = self.reported_elevations, self.reported_azimuth_offsets
@@ -207,14 +207,14 @@ class SensorModel(Value):
 
     @property
     def put_right(self) -> SensorModel:
-        """The sensor of clouds that were put right: nothing known is left of its rings' deviations."""
+        """The sensor of clouds that `scan.put_right` corrected: its rings have no known deviations."""
         if self.range_bias is None and self.reported_elevations is None and self.reported_azimuth_offsets is None:
             return self
         return replace(self, range_bias=None, reported_elevations=None, reported_azimuth_offsets=None)
 
     @property
     def as_reported(self) -> SensorModel:
-        """The sensor with the elevations and azimuth offsets of the driver's table, by which its clouds are read."""
+        """The sensor with the elevations and azimuth offsets of the driver's table, which the clouds come with."""
         elevations = self.elevations if self.reported_elevations is None else self.reported_elevations
         offsets = self.azimuth_offsets if self.reported_azimuth_offsets is None else self.reported_azimuth_offsets
         return replace(self.put_right, elevations=elevations, azimuth_offsets=offsets)
@@ -224,7 +224,7 @@ class SensorModel(Value):
         return replace(self, azimuth_step=step)
 
     def nearest_ring(self, elevations: ArrayLike) -> Ints:
-        """(N,) index of the ring nearest to each of (N,) elevations, rad."""
+        """Return the index (N,) of the ring nearest to each of the elevations (N,), rad."""
         wanted = np.asarray(elevations, dtype=float)
         above = np.searchsorted(self.elevations, wanted).clip(1, max(self.n_rings - 1, 1))
         if self.n_rings == 1:
@@ -235,10 +235,10 @@ class SensorModel(Value):
 
 
 def angle_sds(sensor: SensorModel | None, ring: Ints) -> tuple[Floats, Floats]:
-    """Return standard deviations (N,) of what rings (N,) have of their own in elevation and in azimuth, rad.
+    """Return the standard deviations (N,) of the errors of rings (N,) in elevation and in azimuth, rad.
 
     Args:
-        sensor: None: an unknown one.
+        sensor: whose rings; None: an unknown sensor.
         ring: (N,).
     """
     if sensor is None or ring.max(initial=0) >= sensor.n_rings:
@@ -256,4 +256,4 @@ _BY_RING = {
     "reported_elevations": "reported elevations",
     "reported_azimuth_offsets": "reported azimuth offsets",
 }
-"""Fields that are lists by ring, and what they are called."""
+"""Fields with a number for each ring, and what messages call them."""

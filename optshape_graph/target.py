@@ -17,16 +17,16 @@ from optshape_graph.errors import InputError
 from optshape_graph.se3 import rotation, transform
 
 LARGEST_EXTENT_M = 50.0
-"""A target wider than this is taken for one given in millimetres."""
+"""A target that is wider must have been given in millimetres."""
 
 MOST_VERTICES = 1000
-"""More make no target that anybody would cut, and its symmetries cost their square."""
+"""Vertices that a target has at most; finding its symmetries takes time with their square."""
 
 SYMMETRY_TOLERANCE = 5e-3
 """Vertex mismatch, relative to the circumradius, under which a rotation counts as a symmetry."""
 
 FLATNESS = 1e-3
-"""Standard deviation of points of a sawn board about its plane, and of its edges about their lines, metres."""
+"""Standard deviation of a sawn board's points from its plane, and of its edges from straight lines, metres."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Tags(Value):
         dictionary: OpenCV's name of the predefined dictionary, as `APRILTAG_36h11` or `4X4_50`.
         size: side of a tag's black square, metres.
         centres: tag number to the (y, z) of its centre in the target frame, metres.
-        turn: angle about +x, rad, by which all tags are turned from upright (their top edge towards +z).
+        turn: angle about +x, rad, by which all tags are turned; without it their top edge is towards +z.
     """
 
     dictionary: str
@@ -63,7 +63,7 @@ class Tags(Value):
     def corners(self, number: int) -> Floats:
         """Return the corners (4, 2) of one tag, (y, z), metres, in OpenCV's order.
 
-        Clockwise from the top left, as the viewer on the -x side sees them, to whom y points left.
+        They run clockwise from the top left, as seen from the -x side, where y points left.
         """
         upright = 0.5 * self.size * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
         c, s = np.cos(self.turn), np.sin(self.turn)
@@ -83,8 +83,8 @@ class Target(Value):
         tags: the tags printed on it, if any.
 
     Raises:
-        InputError: fewer than three vertices or more than `MOST_VERTICES`, not finite, not planar, not centred, not
-            strictly convex, clockwise, or of a size that no target in metres has.
+        InputError: fewer than three vertices or more than `MOST_VERTICES`; vertices that are not finite, not planar,
+            not centred, not strictly convex or clockwise; or a size that no target in metres has.
     """
 
     vertices: Floats
@@ -106,7 +106,7 @@ class Target(Value):
             name: what results call it.
 
         Raises:
-            InputError: another shape of array, or a polygon that is no target (see the class).
+            InputError: another shape of array, or a polygon that is not a target (see the class).
         """
         polygon = np.asarray(yz, dtype=float)
         if polygon.ndim != 2 or polygon.shape[1] != 2:
@@ -176,11 +176,11 @@ class Target(Value):
 
     @cached_property
     def symmetry_transforms(self) -> Floats:
-        """(S, 4, 4) of `symmetries`, the identity first: T_lidar_target S is the same placement, named otherwise."""
+        """(S, 4, 4) of `symmetries`, the identity first; T_lidar_target S is the same placement with other names."""
         return frozen(transform(rotation([[angle, 0.0, 0.0] for angle in self.symmetries])))
 
     def nearest_symmetry(self, T_lidar_target: Floats, predicted: Floats) -> Ints:
-        """Return the number (...) of the symmetry S for which T S is turned least from a predicted pose.
+        """Return the index (...) of the symmetry S for which T S is turned least from a predicted pose.
 
         Args:
             T_lidar_target: (..., 4, 4) T.
@@ -220,11 +220,11 @@ class Target(Value):
         return self.scaled(float(np.sqrt(area / self.area)))
 
     def contains(self, yz: ArrayLike, margin: float = 0.0) -> np.ndarray:
-        """Say of (N, 2) points of the plane whether they lie inside, or outside by at most `margin` metres."""
+        """Return (N,) whether points (N, 2) of the plane lie inside, or outside by at most `margin` metres."""
         return np.asarray(self.outside_distance(yz) <= margin)
 
     def outside_distance(self, yz: ArrayLike) -> Floats:
-        """(N,) largest signed distance of (N, 2) points beyond an edge line, metres: negative inside."""
+        """Return the largest signed distance (N,) of points (N, 2) beyond an edge's line, metres; negative inside."""
         points = np.asarray(yz, dtype=float)
         return np.asarray((points @ self.normals.T - self.offsets).max(axis=1))
 

@@ -1,4 +1,4 @@
-"""`optshape calibrate`: the group of calibrations, and what its commands have in common."""
+"""`optshape calibrate`: the group of calibrations, and what its commands share."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def session_argument(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def json_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add `--json FILE` to a command that keeps what it found; it takes the value as `json_path`."""
+    """Add `--json FILE` to a command that keeps finished steps; it takes the value as `json_path`."""
     return click.option(
         "--json", "json_path", type=JSON_FILE, help="Write the results to this file; until it is "
         "whole, what was found is kept in FILE.journal.",
@@ -63,7 +63,7 @@ def range_bias_option(default: float, what: str) -> Callable[[Callable[..., Any]
 
     Args:
         default: metres.
-        what: it is, for the help.
+        what: the help.
     """
     return click.option("--range-bias-sigma", type=Number(0.0, 10.0), default=default, show_default=True, help=what)
 
@@ -71,11 +71,11 @@ def range_bias_option(default: float, what: str) -> Callable[[Callable[..., Any]
 def conclude_calibration(
     calibration: Calibration, passed_over: PassedOver | None, html: Path | None, pictures: Pictures | None
 ) -> None:
-    """Say what was not used, the warnings and the verdict, and write the report if one is asked for.
+    """Print what was not used, the warnings and the verdict, and write the report if one is asked for.
 
     Args:
         calibration: the result.
-        passed_over: what of the inputs was not used.
+        passed_over: input that was not used.
         html: the report; None: none.
         pictures: that were drawn.
     """

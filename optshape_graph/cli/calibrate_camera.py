@@ -1,4 +1,4 @@
-"""`optshape calibrate camera`: LiDARs and cameras calibrated from scans and images of targets."""
+"""`optshape calibrate camera`: calibrate LiDARs and cameras from scans and images of targets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`optshape calibrate mocap`: a LiDAR tied to motion capture, and its estimates compared with the markers."""
+"""`optshape calibrate mocap`: calibrate a LiDAR to motion capture, and compare its estimates with the markers."""
 
 from __future__ import annotations
 

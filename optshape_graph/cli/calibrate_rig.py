@@ -1,4 +1,4 @@
-"""`optshape calibrate rig`: any sensors that targets connect, calibrated to one another."""
+"""`optshape calibrate rig`: calibrate any sensors that targets connect to one another."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def command(
     """Calibrate LiDARs, cameras and motion-capture bodies to one another, through targets; no initial guess is needed.
 
     Sensors need not overlap, as long as targets, or targets that stay while the platform moves, connect them. The
-    rings' errors of each LiDAR are estimated beside. Exit status 3: sightings contradict the others, or the result is
+    errors of each LiDAR's rings are estimated, too. Exit status 3: sightings contradict the others, or the result is
     not to be trusted; it is written all the same, with the reasons.
     """
     from optshape_graph.calibration.exports import EXPORTS, kalibr_distortion, write_exports

@@ -1,4 +1,4 @@
-"""`optshape calibrate sensor`: a LiDAR's rings, by boards that stand still in front of it."""
+"""`optshape calibrate sensor`: calibrate a LiDAR's rings with boards that stand still in front of it."""
 
 from __future__ import annotations
 
@@ -23,13 +23,11 @@ if TYPE_CHECKING:
 @click.argument("targets", nargs=-1, metavar="[TARGET]...")
 @click.option("--also", multiple=True, type=click.Path(path_type=Path), metavar="RECORDING|SESSION.yaml",
               help="Another recording or session of the same sensor; may be given again.")  # fmt: skip
-@click.option(
-    "--sensor", "sensor_name", help="Built-in name or sensor file: the prior. Of sessions theirs, if left out."
-)
-@click.option("--lidar", metavar="NAME", help="Which LiDAR of a session; the only one, if left out.")
-@click.option("--topic", metavar="TOPIC", help="Of a recording's scans; the only one, if left out.")
+@click.option("--sensor", "sensor_name", help="Built-in name or sensor file: the prior.  [default: the session's]")
+@click.option("--lidar", metavar="NAME", help="Which LiDAR of a session; not needed if there is only one.")
+@click.option("--topic", metavar="TOPIC", help="Topic of a recording's scans; not needed if there is only one.")
 @click.option("--distance", "measured", multiple=True, nargs=3, metavar="BOARD[/VERTEX] BOARD[/VERTEX] METRES",
-              help="Measured between boards while both stood: tells the mean range. Vertices from 0.")  # fmt: skip
+              help="Measured between boards that stood: fixes the mean range. Vertices count from 0.")  # fmt: skip
 @click.option("--distance-sd", type=POSITIVE, default=0.002, show_default=True, metavar="METRES",
               help="Standard deviation of these distances.")  # fmt: skip
 @crops_option

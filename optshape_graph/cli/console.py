@@ -1,4 +1,4 @@
-"""What every command prints with: tables on standard output, progress on standard error."""
+"""Printing for every command: tables on standard output, progress on standard error."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ _FILE_WIDTH = 160
 """Columns of a table that goes to a file or a pipe."""
 
 _PLAIN = str.maketrans({"±": "+-", "°": " deg", "∞": "inf", "…": "...", "·": "*", "²": "2", "μ": "u", "→": "->"})
-"""What stands for signs that a terminal without Unicode has not."""
+"""Text for signs that a terminal without Unicode lacks."""
 
 TABLES_ASIDE = "optshape.tables_aside"
 """What a click context knows where standard output is taken by JSON: tables and lines go to standard error."""
 
 SECONDS_BETWEEN = 60.0
-"""Between two lines of progress, where standard error is no terminal."""
+"""Seconds between two lines of progress, if standard error is no terminal."""
 
 
 def say(text: object, *, err: bool = False) -> None:
-    """Print one line; what a terminal would obey is shown, and signs that it has not are spelled out.
+    """Print one line; control characters are escaped, and signs that the terminal lacks are spelled out.
 
     Args:
-        text: the line; names from data may be in it.
+        text: the line, which may have names from data in it.
         err: print to standard error.
     """
     err = err or _aside()
@@ -49,7 +49,7 @@ def _aside() -> bool:
 
 
 def warn(text: object) -> None:
-    """Print one line to standard error, as this program's."""
+    """Print one line to standard error, with the name of this program before it."""
     say(f"optshape: {text}", err=True)
 
 
@@ -121,19 +121,19 @@ def print_transform(name: str, meaning: str, T: NDArray[np.float64], covariance:
 
 
 def terminal() -> bool:
-    """Whether standard error is a terminal that can move its cursor."""
+    """Return whether standard error is a terminal that can move its cursor."""
     return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show on standard error how far the block is and how fast it goes: a bar on a terminal, else a line a minute.
+    """Show the progress and speed of the block on standard error: a bar on a terminal, else a line a minute.
 
     Args:
-        what: is being done.
+        what: the name of the work.
 
     Yields:
-        A function to call with how much is done, and of how much.
+        A function to call with the number of finished steps, and of all steps.
     """
     if not terminal():
         yield _lines_of_progress(what)
@@ -152,7 +152,7 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def _speed(done: int, seconds: float) -> str:
-    """How many a second; where they take longer than a second, how long each takes."""
+    """Return how many steps are done in a second, or how long each takes if that is more than a second."""
     if not done or seconds <= 0:
         return ""
     return f"{done / seconds:.1f}/s" if done >= seconds else f"{seconds / done:.1f} s each"
@@ -173,6 +173,6 @@ def _lines_of_progress(what: str) -> Callable[[int, int], None]:
 
 
 def say_passed_over(passed_over: PassedOver) -> None:
-    """Print what of the input was not used, a line for each reason."""
+    """Print which input was not used, a line for each reason."""
     for line in passed_over.lines():
         say(f"  {line}")

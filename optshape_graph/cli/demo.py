@@ -1,4 +1,4 @@
-"""`optshape demo`: the main job on bundled scans, with pictures, and what one sees in them."""
+"""`optshape demo`: the main job on bundled scans, with pictures and what they show."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from optshape_graph.cli.options import FOLDER, example, force_option
 EXPLANATION = """\
 What this was: eight scans of a target with motion-capture markers near its vertices, simulated with a VLP-32C at 4 to
 10 m, face-on and angled. The first table compares where the LiDAR sees the target with where the markers say it is:
-RMSE of the vertices, translation e_t, rotation e_r. The transforms are how the two systems stand to each other.
+RMSE of the vertices, translation e_t, rotation e_r. The transforms lead from one system to the other.
 
-What there is in the folder:
+The folder has:
   mocap.json      all numbers, with covariances
 """
 

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from optshape_graph.scan import Scan
 
 BYTES = 60_000
-"""Of an entry of the document and its line in the journal, about: what the disk must have room for."""
+"""Rough size of a scan's entry in the document and its line in the journal, for which the disk must have room."""
 
 MOST_REJECTED = 3
-"""Surfaces that are shown of a scan in which nothing is found: those that passed the most tests."""
+"""Surfaces that are shown for a scan without targets: those that passed the most tests."""
 
 
 @click.command(
@@ -61,15 +61,14 @@ def command(
 ) -> int:
     """Find targets in each SCAN, a full revolution, and tell them apart by shape.
 
-    `optshape info` says what a cloud holds, in whatever form.
+    `optshape info` shows what a cloud of any form holds.
 
     A SCAN is a file, a folder of clouds, a pattern in quotes ('drive/*.pcd'), or @LIST: a text file with a name on each
     line.
 
-    `return_indices` in the JSON count the cloud's returns from 0, in its order, without points that are no returns
-    (not finite, or at the origin); `doubtful_indices` are further returns that the pose rests on, at the target's rim
-    or with much noise. What was looked at and is no target is listed with the
-    reason, what came nearest to a target first.
+    `return_indices` in the JSON count the cloud's returns from 0, in its order, without points that are not returns
+    (not finite, or at the origin). `doubtful_indices` are further returns that the pose uses, at the target's rim or
+    with much noise. Surfaces that are not targets are listed with the reason, the most target-like first.
 
     Exit status 3: some scans could not be used, or a target's shape or pose is ambiguous; the results of the others
     are written.
@@ -98,7 +97,7 @@ def command(
 
 
 def figures(name: str, scan: Scan, detections: Detections) -> dict[str, Figure]:
-    """Return a scan with what was found in it, and the fit of every target, by the names of the pictures."""
+    """Return figures by name: the scan with what was found in it, and the fit of every target."""
     from optshape_graph.viz.pose import plot_fit
     from optshape_graph.viz.scan import plot_detections
 
@@ -107,7 +106,7 @@ def figures(name: str, scan: Scan, detections: Detections) -> dict[str, Figure]:
 
 
 def rows(entry: dict[str, Any], status: str) -> list[list[str]]:
-    """Return the rows of an entry of the document: one for each target found; of none, what came nearest to one."""
+    """Return the rows of an entry of the document: one for each target or, without any, for likely surfaces."""
     name = Path(entry["scan"]).name
     if "error" in entry:
         return [[name, "failed", *[""] * 8]]

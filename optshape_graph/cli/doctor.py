@@ -1,4 +1,4 @@
-"""`optshape doctor`: what is installed, what works, and what to do where it does not."""
+"""`optshape doctor`: what is installed, what works, and what to do about the rest."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class Check:
     """One line of the report.
 
     Attributes:
-        name: what was looked at.
-        status: "ok"; "absent": optional, and not there; "broken": there, and does not work; "advice".
+        name: what was checked.
+        status: "ok"; "absent": optional and not installed; "broken": installed, but not working; "advice".
         found: version, or what is wrong.
         purpose: what it is for.
-        to_do: what helps; "": nothing is to be done.
-        core: nothing works without it.
+        to_do: what helps; "": nothing needs to be done.
+        core: whether nothing works without it.
     """
 
     name: str
@@ -69,7 +69,7 @@ def command(json_path: Path | None, force: bool) -> int:
 
 
 def _versions() -> list[Check]:
-    """Python, the core's packages, and each extra."""
+    """Check Python, the core's packages, and each extra."""
     import platform
     import sys
 
@@ -108,7 +108,7 @@ def _versions() -> list[Check]:
 
 
 def _wrong(name: str, wanted: str, found: Found) -> str:
-    """What is wrong with a package; "": nothing."""
+    """Return what is wrong with a package; "": nothing."""
     from optshape_graph.cli.environment import satisfies
 
     if found.version is None:
@@ -126,7 +126,7 @@ def _libraries() -> list[Check]:
 
 
 def _self_check() -> Check:
-    """Estimate a known pose; whatever goes wrong is a finding."""
+    """Estimate a known pose; any error is a finding."""
     import numpy as np
 
     purpose = "a target simulated 8 m away, estimated, and solved for again with GTSAM"

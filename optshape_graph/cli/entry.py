@@ -1,4 +1,4 @@
-"""What `optshape` starts with: signals end it in one line from here on, before anything heavy is imported."""
+"""The entry point of `optshape`: from here on a signal ends it in one line, before anything heavy is imported."""
 
 from optshape_graph.runs.interruption import end_on_signals
 

@@ -1,4 +1,4 @@
-"""What is installed: Python, the packages of the core and of each extra, and the system's libraries."""
+"""The installation: Python, the packages of the core and of each extra, and the system's libraries."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MODULES = {
     "pyyaml": "yaml",
     "rerun-sdk": "rerun",
 }
-"""Modules that are not called as what brings them."""
+"""Modules by their distribution, if its name is another."""
 
 PURPOSES = {
     "sdp": "certificates by cvxpy, for comparison (--backend cvxpy)",
@@ -45,7 +45,7 @@ PURPOSES = {
     "supply": "the list of parts (make sbom)",
     "docs": "building the documentation",
 }
-"""What each extra is for; `test` brings them all."""
+"""Purpose of each extra; `test` brings them all."""
 
 CORE = {
     "gtsam": "factor graphs",
@@ -84,16 +84,16 @@ for distribution, module in json.loads(sys.argv[1]):
 """
 
 SECONDS = 120
-"""That importing everything may take."""
+"""Seconds that importing everything may take."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """What importing a package gave.
+    """The outcome of importing a package.
 
     Attributes:
         version: of the package; None: it could not be imported.
-        error: why not; "": it is not installed.
+        error: the reason; "": it is not installed.
     """
 
     version: str | None
@@ -101,7 +101,7 @@ class Found:
 
 
 def requirements() -> dict[str, dict[str, str]]:
-    """Return what is required, by extra ("": the core): distribution to the versions it may have.
+    """Return the required versions of each distribution, by extra ("": the core).
 
     Without the package's metadata (a bare source tree on the path) only the names of the core are known.
     """
@@ -121,7 +121,7 @@ def requirements() -> dict[str, dict[str, str]]:
 
 
 def import_all(distributions: Sequence[str]) -> dict[str, Found]:
-    """Import packages in another process, so that one which crashes is a finding and not the end."""
+    """Import packages in another process, so that a crash is a finding and does not end this one."""
     found: dict[str, Found] = {}
     remaining = [[name, MODULES.get(name, name.replace("-", "_"))] for name in distributions]
     while remaining:
@@ -140,7 +140,7 @@ def import_all(distributions: Sequence[str]) -> dict[str, Found]:
 
 
 def satisfies(version: str, wanted: str) -> bool:
-    """Say whether a version is within bounds such as `>=4.3,<4.4`."""
+    """Return whether a version is within bounds such as `>=4.3,<4.4`."""
     for bound in filter(None, (part.strip() for part in wanted.split(","))):
         match = re.match(r"(>=|<=|==|!=|~=|<|>)\s*([0-9.]+)", bound)
         if match is None:
@@ -171,7 +171,7 @@ def missing_libraries(libraries: Mapping[str, str] = SYSTEM) -> dict[str, str]:
 
 
 def _said_by(modules: Sequence[Sequence[str]]) -> Iterator[tuple[dict[str, Any], str]]:
-    """Lines of a process that imports modules, each with how the process ended."""
+    """Yield the lines of a process that imports modules, each with how the process ended."""
     command = [sys.executable, "-c", _IMPORTS, json.dumps(list(modules))]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, check=False)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from optshape_graph.scan import Scan
 
 BYTES = 12_000
-"""Of an entry of the document and its line in the journal, about: what the disk must have room for."""
+"""Rough size of a scan's entry in the document and its line in the journal, for which the disk must have room."""
 
 
 @click.command(
@@ -63,11 +63,12 @@ def command(
 ) -> int:
     """Estimate a target's pose in each SCAN, which holds the target's returns and no others.
 
-    `optshape info` says what a cloud holds, in whatever form.
+    `optshape info` shows what a cloud of any form holds.
 
     A SCAN is a file, a folder of clouds, a pattern in quotes ('drive/*.pcd'), or @LIST: a text file with a name on each
-    line. Exit status 3: some scans failed, or are doubtful or ambiguous; the results of
-    the others are written.
+    line.
+
+    Exit status 3: some scans failed, or are doubtful or ambiguous; the results of the others are written.
     """
     from optshape_graph.cli.inputs import scan_paths, sensor_of
     from optshape_graph.cli.outputs import Outputs
@@ -95,7 +96,7 @@ def command(
 
 
 def figures(name: str, scan: Scan, estimate: PoseEstimate) -> dict[str, Figure]:
-    """Return what there is to see of an estimate, by the names of the pictures."""
+    """Return the figures of an estimate by name."""
     from optshape_graph.viz.pose import plot_estimate
 
     return {f"{name}_{kind}": figure for kind, figure in plot_estimate(scan, estimate).items()}

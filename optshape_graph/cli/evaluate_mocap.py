@@ -59,7 +59,7 @@ def command(
 
     outputs = Outputs([reference, *folder.glob("*/*")], force=force)
     outputs.file("--json", json_path, "mocap-evaluation")
-    older = _is_table(output / "mocap.csv")  # then it is replaced
+    older = _is_table(output / "mocap.csv")  # it may be replaced
     outputs.folder("--output", output, () if older else ["mocap.csv", "mocap.parquet"], replace=False)
     outputs.folder("--plot", plots)
     outputs.file("--report", html)
@@ -106,7 +106,7 @@ def _errors(row: Mapping[str, Any] | None, prefix: str) -> str:
 
 
 def _is_table(path: Path) -> bool:
-    """Whether a file is an older table of this command."""
+    """Return whether a file is an older table of this command."""
     try:
         with path.open("rb") as stream:
             return stream.readline(200).startswith(b"session,scan,")

@@ -1,4 +1,4 @@
-"""`optshape evaluate paper`: the paper's figures and tables, made again."""
+"""`optshape evaluate paper`: make the paper's figures and tables again."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def command(
     force: bool,
     output: Path,
 ) -> None:
-    """Make the paper's figures and tables again, those that data allow, and say which can't be made and why.
+    """Make the paper's figures and tables again as far as data allow, and say which can't be made and why.
 
     Tables I and II are printed with the paper's columns: as printed, then ours, RMSE [m] (percent of the distance),
     e_t [m], e_r [deg].
@@ -49,7 +49,7 @@ def command(
     from optshape_graph.viz.evaluation import plot_sweep
     from optshape_graph.viz.paper import figures
 
-    older = (output / "tasks").is_dir()  # then what is there is replaced
+    older = (output / "tasks").is_dir()  # an older run may be replaced
     made = [] if older else ["table1.csv", "table2.csv", *(path.name for path in output.glob("figure-*"))]
     Outputs(force=force).folder("--output", output, made, replace=False)
     target = load_target("paper")

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 TABLES = ("scans.csv", "scans.parquet", "cells.csv", "groups.csv", "consistency.csv", "table1.csv")
 PICTURES = ("errors.png", "errors.svg", "errors.pdf")
-"""What is written to the output folder."""
+"""Pictures that are written to the output folder."""
 
 
 @click.command(epilog=example("optshape evaluate simulation --seeds 20 --workers 4 -o sweep"))
@@ -95,10 +95,10 @@ def command(
     (the paper's Table I beside ours), and errors.png (the paper's line charts). Results do not depend on the number of
     workers.
 
-    Columns named bound are the Cramer-Rao bound of that pose: the error, root mean square, of the best unbiased
-    estimate that knows which ring ends on which edge. A uniform quantiser has no such bound: a ring's end counts as
-    Gaussian with the variance of one azimuth step, step^2 / 12, so errors without noise can be smaller. It knows of no
-    flipped poses, and takes each noisy azimuth by itself, so errors of angular noise can be smaller, too.
+    Columns named bound have the Cramer-Rao bound of that pose: the root mean square error of the best unbiased estimate
+    that knows which ring ends on which edge. Errors can be smaller than the bound. Without noise, since it takes a
+    ring's end for Gaussian with the variance of an azimuth step, step^2 / 12. With angular noise, since it takes each
+    noisy azimuth by itself. They can be larger, since it does not allow for flipped poses.
     """
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.evaluation import SimulationSweep
@@ -108,12 +108,12 @@ def command(
     from optshape_graph.viz.style import new_figure
 
     outputs = Outputs([target_name, sensor_name], force=force)
-    older = (output / "tasks" / "sweep.json").exists()  # then its tables are replaced
+    older = (output / "tasks" / "sweep.json").exists()  # its tables may be replaced
     outputs.folder("--output", output, () if older else (*TABLES, *PICTURES), replace=False)
     outputs.file("--json", json_path, "simulation-evaluation")
     outputs.file("--report", html)
     check_parquet()
-    new_figure()  # whether there is matplotlib: better known before the sweep than after it
+    new_figure()  # fails without matplotlib, before the sweep rather than after it
     sweep = SimulationSweep(
         target=load_target(target_name),
         sensor=None if sensor_name is None else load_sensor(sensor_name),
@@ -133,7 +133,7 @@ def command(
 
 
 def _run(sweep: SimulationSweep, pool: Pool | None, output: Path, json_path: Path | None, html: Path | None) -> None:
-    """Run the sweep, write its tables and charts, and say what it means."""
+    """Run the sweep, write its tables and charts, and print its verdict."""
     from optshape_graph.cli.console import progress_bar
     from optshape_graph.evaluation import (
         beside_published,
@@ -171,13 +171,13 @@ def _run(sweep: SimulationSweep, pool: Pool | None, output: Path, json_path: Pat
 
 
 def _orientation(rpy_deg: tuple[float, float, float]) -> tuple[str, tuple[float, float, float]]:
-    """Name and angles of an orientation given in degrees."""
+    """Return name and angles of an orientation given in degrees."""
     roll, pitch, yaw = (radians(angle) for angle in rpy_deg)
     return " ".join(f"{angle:g}" for angle in rpy_deg), (roll, pitch, yaw)
 
 
 def _show(groups: list[Row]) -> None:
-    """Print how the estimates of each group ended, and their mean errors and 95th percentiles."""
+    """Print the statuses of the estimates of each group, and their mean errors and 95th percentiles."""
     from optshape_graph.cli.console import print_table
 
     columns = ["method", "noise", "orientation", "ok", "doubtful", "ambiguous", "failed"]

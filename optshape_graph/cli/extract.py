@@ -1,4 +1,4 @@
-"""`optshape extract`: a session out of a bag or a folder of clouds."""
+"""`optshape extract`: cut a session out of a bag or a folder of clouds."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OFFSET = Number(-1e11, 1e11)
 @click.option("--list", "listing", is_flag=True, help="List the topics and exit.")
 @click.option("--sensor", "sensor_name", help="The LiDAR: built-in name or file.")
 @click.option("--target", "target_names", multiple=True, help="Built-in name, NAME@AREA, or file. May be repeated.")
-@click.option("--topic", "topics", multiple=True, help="Topic of scans, images or poses; not needed where there is "
+@click.option("--topic", "topics", multiple=True, help="Topic of scans, images or poses; not needed if there is "
               "only one of a kind. May be repeated.")  # fmt: skip
 @click.option("--camera", "camera_file", type=click.Path(path_type=Path),
               help="Intrinsics (optshape/camera/1, ROS or Kalibr) instead of those in the recording.")  # fmt: skip
@@ -75,9 +75,10 @@ def command(
 ) -> None:
     """Cut a session out of RECORDING: scans, and the images and markers of the same moments.
 
-    RECORDING is a ROS 1 or ROS 2 bag, an .mcap file, or a folder of clouds with timestamps.txt. Messages are placed
-    by their header's stamp. A scan becomes a view if it has everything that was asked for; what was paired and what
-    was dropped is reported, and written to extract.json beside session.yaml. The exit status is 0 if there is a view.
+    RECORDING is a ROS 1 or ROS 2 bag, an .mcap file, or a folder of clouds with timestamps.txt. The stamp in
+    a message's header counts. A scan becomes a view if everything asked for was recorded with it. What was paired and
+    what was dropped is reported, and written to extract.json beside session.yaml. The exit status is 0 if there is a
+    view.
     """
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.io import load_sensor, load_target
@@ -141,7 +142,7 @@ def _mocap(file: Path | None) -> MocapRecording | None:
 
 def _of_targets(mocap: MocapRecording, body: tuple[str, ...]) -> MocapRecording:
     if body:
-        mocap.select(body)  # an error if one of them is not there
+        mocap.select(body)  # an error if one of them is missing
     return mocap.select([marker for marker in mocap.markers if marker not in body])
 
 
@@ -157,7 +158,7 @@ def _estimated(recording: Recording, mocap: MocapRecording, body: tuple[str, ...
 
 
 def _camera(recording: Recording, file: Path | None, topic: str | None) -> tuple[Any, str | None]:
-    """Return the intrinsics and the topic of images; nothing, and why, where they cannot be told."""
+    """Return the intrinsics and the topic of images; if there are none, warn and return nothing."""
     from optshape_graph.errors import InputError
     from optshape_graph.io import load_camera
 

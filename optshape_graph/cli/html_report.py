@@ -1,4 +1,4 @@
-"""`--report FILE`, the option of every command that estimates, and `optshape report` for results that are there."""
+"""`optshape report`, and the option `--report FILE` of every command that estimates."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def report_option(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def conclude(document: Mapping[str, Any], html: Path | None, pictures: Sequence[str | Path] = ()) -> None:
-    """Say what a result means, in one line, and write the report if one is asked for.
+    """Print what a result means in one line, and write the report if one is asked for.
 
     Args:
         document: the result's plain form.
@@ -50,7 +50,7 @@ def conclude(document: Mapping[str, Any], html: Path | None, pictures: Sequence[
 def command(result: Path, pictures: tuple[Path, ...], output: Path, force: bool) -> None:
     """Write what a result means as one HTML file: verdict, numbers, pictures, what to do next.
 
-    RESULT.json is what estimate, detect, calibrate, map, evaluate or design choose wrote; PICTURES are drawings of it.
+    RESULT.json comes from estimate, detect, calibrate, map, evaluate or design choose; PICTURES are drawings of it.
     """
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.evaluation.verdicts import JUDGED, kind_of

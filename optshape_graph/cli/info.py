@@ -1,4 +1,4 @@
-"""`optshape info`: what a file is."""
+"""`optshape info`: say what a file is."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from optshape_graph.cli.options import JSON_FILE, example, force_option
 
 @click.command(epilog=example("optshape info drive.bag scan.pcd board.yaml"))
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
-@click.option("--columns", metavar="NAMES", help="Names of a cloud's columns that has none: x,y,z,_,ring.")
+@click.option("--columns", metavar="NAMES", help="Names of the columns, for a cloud without names: x,y,z,_,ring.")
 @click.option("--json", "json_path", type=JSON_FILE, help="Write the facts to this file.")
 @force_option
 def command(files: tuple[Path, ...], columns: str | None, json_path: Path | None, force: bool) -> int:
@@ -54,7 +54,7 @@ def _print(facts: dict[str, Any], indent: int) -> None:
     width = max((len(name) for name in facts), default=0)
     for name, value in facts.items():
         if name == "numbers":
-            continue  # for programs: the words say the same
+            continue  # the same facts for programs
         if isinstance(value, dict):
             say(" " * indent + name)
             _print(value, indent + 2)

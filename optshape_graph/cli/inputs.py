@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from optshape_graph.sensor import SensorModel
 
 ENDINGS = (".pcd", ".ply", ".npz", ".npy", ".bin", ".las", ".laz", ".e57")
-"""Of the clouds that are taken of a folder; a CSV may be anything, and is named by itself or by a pattern."""
+"""Endings of clouds in a folder. A CSV may be anything: it is named by itself, or by a pattern."""
 
 MOST_SCANS = 10_000_000
 
 
 def scan_paths(words: tuple[str, ...]) -> list[str]:
-    """Return the files that words name, in their order; those of a folder or a pattern as numbers in names count.
+    """Return the files that words name, in the order of the words; numbers in names sort as numbers.
 
     Args:
-        words: a file; a folder: its clouds; a pattern such as `drive/*.pcd`; `@list`: the files that a text file names,
-            one a line, relative to its own folder.
+        words: each a file; a folder, for the clouds in it; a pattern such as `drive/*.pcd`; or `@list`, for the files
+            that a text file names, one a line, relative to its own folder.
 
     Raises:
         click.UsageError: a word that names nothing, or too many files.
@@ -41,11 +41,11 @@ def scan_paths(words: tuple[str, ...]) -> list[str]:
 
 
 def sensor_of(name: str | None, paths: Sequence[str], columns: Sequence[str] | None) -> SensorModel | None:
-    """Return the sensor that is named; without a name the one that the clouds look like, which is said.
+    """Return the sensor of a name; without a name guess it from the clouds, and print the guess.
 
     Args:
         name: built-in, or a file; "none": there is none; None: it is guessed from the first, the middle and the last
-            cloud. Those that tell must tell the same.
+            cloud. Guesses must agree.
         paths: the clouds.
         columns: names of their columns, if given.
 
@@ -60,7 +60,7 @@ def sensor_of(name: str | None, paths: Sequence[str], columns: Sequence[str] | N
         return None if name == "none" else load_sensor(name)
     guesses = []
     for path in dict.fromkeys([paths[0], paths[len(paths) // 2], paths[-1]]):
-        with suppress(InputError, MissingExtraError):  # said when it is its turn
+        with suppress(InputError, MissingExtraError):  # reported when it is its turn
             guesses.append(guess_sensor(read_scan(path, None, columns)))
     told = {guess.sensor.name: guess.sensor for guess in guesses if guess.sensor is not None}
     if len(told) != 1:

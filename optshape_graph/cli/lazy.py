@@ -1,4 +1,4 @@
-"""Groups whose commands are imported when they are run, so that help costs no more than reading a table."""
+"""Groups of commands that are imported when they are run, so that help imports none of them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import click
 
 
 class LazyGroup(click.Group):
-    """A group that knows its commands by the module that defines each, as `command`.
+    """A group that imports a command when it is run.
 
     Args:
-        commands_at: module of each command.
+        commands_at: for each command the module that defines it, as `command`.
         help_of: one line of help for each.
     """
 

@@ -63,7 +63,7 @@ HELP = {
 """One line per command, so that `optshape --help` imports none of them."""
 
 LONGEST_MESSAGE = 2000
-"""Characters of an error: a file may have a word of a million."""
+"""Characters that a message has at most: a file may have a word of a million."""
 
 
 @click.group(
@@ -89,7 +89,7 @@ def cli(ctx: click.Context, debug: bool, profile: bool) -> None:
 
 
 class OneLine(logging.Formatter):
-    """Log messages in one line each, in which nothing is obeyed by a terminal."""
+    """Formats a log message as one line without control characters."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line."""
@@ -101,7 +101,7 @@ def main() -> None:
     debug = "--debug" in sys.argv
     open_streams()
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # an ASCII terminal gets escapes of what it has not
+        if hasattr(stream, "reconfigure"):  # an ASCII terminal gets escapes of other characters
             stream.reconfigure(errors="backslashreplace")
     try:
         stop_on_signals()
@@ -116,7 +116,7 @@ def main() -> None:
 
 
 def run(debug: bool) -> int:
-    """Run the command, and return its exit status; exit with one line where it ends in an error."""
+    """Run the command, and return its exit status; exit with one line if it ends in an error."""
     try:
         with whatever_becomes_of_it():
             code = cli(standalone_mode=False)
@@ -130,8 +130,8 @@ def run(debug: bool) -> int:
             click.echo(f"{error.ctx.get_usage()}\nTry '{error.ctx.command_path} --help' for help.\n", err=True)
         click.echo(f"Error: {shown(said, LONGEST_MESSAGE)}", err=True)
         sys.exit(2)
-    except (BrokenPipeError, SystemExit):  # click and rich exit for a broken pipe, and for nothing else
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # whoever read the output has seen enough
+    except (BrokenPipeError, SystemExit):  # click and rich exit for a broken pipe only
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the reader of the output has closed it
         sys.exit(0)
     except (OptshapeError, OSError) as error:
         if debug:
@@ -146,7 +146,7 @@ def run(debug: bool) -> int:
 
 
 def open_streams() -> None:
-    """Lead standard streams that are closed to nowhere: files that are opened would take their places."""
+    """Open standard streams that are closed to the null device: other files would take their numbers."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -157,21 +157,21 @@ def open_streams() -> None:
 
 
 def end(message: str, status: int) -> NoReturn:
-    """Say why in one line, and exit."""
+    """Print a message in one line, and exit."""
     with contextlib.suppress(OSError):
         click.echo(shown(message, LONGEST_MESSAGE), err=True)
     sys.exit(status)
 
 
 def reason(error: Exception) -> str:
-    """Return what went wrong, of the system's errors with the file first, as in all others."""
+    """Return what went wrong; the system's errors begin with the file, as all others do."""
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror}"
     return str(error)
 
 
 def show_traceback(error: Exception) -> None:
-    """Print where an error came from, line by line, so that nothing in it is obeyed."""
+    """Print a traceback line by line, without control characters."""
     import traceback
 
     for line in "".join(traceback.format_exception(error)).splitlines():

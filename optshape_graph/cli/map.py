@@ -1,4 +1,4 @@
-"""`optshape map`: a map of targets and a trajectory, out of a recording or a session."""
+"""`optshape map`: map targets and a trajectory from a recording or a session."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Offset(click.ParamType):  # type: ignore[type-arg]  # generic in newer ver
 @click.option("--targets", "--target", "target_names", multiple=True,
               help="Built-in name, NAME@AREA, or file; may be repeated. A session names its own.")  # fmt: skip
 @click.option("--sensor", "sensor_names", multiple=True,
-              help="The LiDAR: built-in name or file; of several one each, in the order of --scans. "
+              help="The LiDAR: built-in name or file; for several LiDARs one each, in the order of --scans. "
               "A session names its own.")  # fmt: skip
 @click.option("--scans", "scan_topics", metavar="TOPIC", multiple=True,
               help="Not needed where there is only one; may be repeated, for several LiDARs on one robot.")  # fmt: skip
@@ -60,12 +60,12 @@ class Offset(click.ParamType):  # type: ignore[type-arg]  # generic in newer ver
               help="Topic of poses, or a file of them (TUM, EuRoC, Motive); `none` for none.  "
               "[default: the only topic of poses, if there is one]")  # fmt: skip
 @click.option("--mounting", "mountings", nargs=6, type=Number(-1e4, 1e4), metavar="X Y Z ROLL PITCH YAW", multiple=True,
-              help="The LiDAR on the body that the odometry is of: metres and degrees; of several one each, in the "
-              "order of --scans.  [default: the recording's static transforms]")  # fmt: skip
+              help="Pose of the LiDAR on the body whose poses the odometry has: metres and degrees; for several LiDARs "
+              "one each, in the order of --scans.  [default: the recording's static transforms]")  # fmt: skip
 @click.option("--extrinsics", type=FILE, help="Where LiDARs are: a file with `transforms`, such as a calibrated rig.")
 @click.option("--clock-offset", type=Offset(), default="0", show_default=True, metavar="SECONDS|auto",
-              help="To add to the stamps of the odometry to have those of the scans; `auto`: estimated, by how fast "
-              "both say that the robot turned (needs the extra `icp`).")  # fmt: skip
+              help="What to add to the stamps of the odometry to get the LiDAR's; `auto`: estimated from how fast the "
+              "robot turned by either (needs the extra `icp`).")  # fmt: skip
 @click.option("--one-each", is_flag=True, help="There is one of each target: its name is the landmark's.")
 @click.option("--known", type=FILE, help="Map to start from: surveyed landmarks, or made before.")
 @click.option("--odometry-noise", nargs=2, type=Number(1e-6, 100.0), default=(0.02, 0.2), show_default=True,
@@ -117,12 +117,12 @@ def command(
     html: Path | None,
     plots: Path | None,
 ) -> int:
-    """Map the targets that SOURCE saw, and where it saw them from.
+    """Map the targets in SOURCE, and the trajectory from which they were seen.
 
     SOURCE is a session file (.yaml), a ROS 1 or ROS 2 bag, an .mcap file, or a folder of clouds with timestamps.txt.
-    Scans are placed by odometry, and by what they have in common with others; without odometry, by that alone. Scans
-    that cannot be used are skipped with a reason and counted. Of several LiDARs, poses are those of the first. The exit
-    status is 3 if no target was mapped, or the map is not to be trusted for another reason, which is said.
+    Poses of scans come from odometry and from targets that several scans see; without odometry, from targets alone.
+    Scans that cannot be used are skipped with a reason and counted. With several LiDARs, poses are those of the first.
+    The exit status is 3 if no target was mapped, or the map is not to be trusted, with the reason.
     """
     from math import radians
 
@@ -193,7 +193,7 @@ def command(
 
 
 def _files(source: Path) -> list[Path]:
-    """The files that a source is made of."""
+    """Return the files that a source consists of."""
     return sorted(path for path in source.rglob("*") if path.is_file()) if source.is_dir() else [source]
 
 
@@ -217,10 +217,10 @@ def _opened(
 
 
 def _of_each(option: str, values: list[T], names: tuple[str, ...], common: bool = False) -> T | dict[str, T] | None:
-    """What was said of the LiDARs: of one, or of each by its name; with `common`, one may be said for all.
+    """Return an option's value for the one LiDAR, or its values by LiDAR; with `common`, one value may hold for all.
 
     Raises:
-        UsageError: not of as many as there are.
+        UsageError: another number of values than LiDARs.
     """
     if not values:
         return None
@@ -241,7 +241,7 @@ def _placed(mounting: tuple[float, ...]) -> Floats:
 
 @contextmanager
 def _shown() -> Iterator[Callable[[Progress], None]]:
-    """Show how far a run is, and what it has found: a bar on a terminal, else a line a minute."""
+    """Show the progress of a run and what it has found: a bar on a terminal, else a line a minute."""
 
     def summary(now: Progress) -> str:
         return (
@@ -271,7 +271,7 @@ def _shown() -> Iterator[Callable[[Progress], None]]:
 
 
 def _document(result: MapResult) -> dict[str, Any]:
-    """The map, with what there is to say of the run."""
+    """Return the map's document, with the facts of the run."""
     report = {
         "problems": list(result.problems), "warnings": list(result.warnings), "clocks": result.clocks.to_dict(),
         **result.passed_over.to_dict(),

@@ -1,4 +1,4 @@
-"""`optshape merge`: maps with landmarks in common become one."""
+"""`optshape merge`: make one map of several with landmarks in common."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from optshape_graph.cli.options import FILE, JSON_FILE, example, force_option
 def command(maps: tuple[Path, ...], json_file: Path, html: Path | None, force: bool) -> int:
     """Make one map of several, in the frame of the first.
 
-    Each MAP must have landmarks in common, by name, with those before it, and be made independently of them: of other
-    sessions, not extended from one of them with --known. Joint covariances are kept.
+    Each MAP must share landmarks, by name, with those before it, and be independent of them: made of other sessions,
+    and not extended from one of them with --known. Joint covariances are kept.
     """
     from functools import reduce
 

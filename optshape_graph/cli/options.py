@@ -15,7 +15,7 @@ from optshape_graph.runs.workers import Pool
 
 MOST_WORKERS = 1024
 MOST_SEED = 2**63 - 1
-"""Of NumPy's seeds that fit a JSON number everywhere."""
+"""Largest seed: every program reads it from JSON unchanged."""
 
 
 class File(click.Path):
@@ -44,7 +44,7 @@ JSON_FILE = File(standard_output=True)
 
 
 class Folder(click.Path):
-    """A folder by its name; an empty one, as of a shell's variable that is not set, is not the current folder."""
+    """A folder by its name; an empty name, as from an unset variable of the shell, is an error."""
 
     def __init__(self) -> None:
         super().__init__(file_okay=False, path_type=Path)
@@ -60,7 +60,7 @@ FOLDER = Folder()
 
 
 class Number(click.ParamType):  # type: ignore[type-arg]  # generic in newer versions of click only
-    """A finite number within a range, whose message names it.
+    """A finite number within a range, which the error message states.
 
     Args:
         least: the number is at least this.
@@ -95,13 +95,15 @@ class Number(click.ParamType):  # type: ignore[type-arg]  # generic in newer ver
 
 POSITIVE = Number(0.0, open=True)
 DISTANCE = Number(0.0, 1000.0, open=True)
-"""Metres of a target from the sensor."""
+"""Distance of a target from the sensor, metres."""
 ANGLE = Number(-360.0, 360.0)
 """Degrees."""
+PAPER = click.Choice(["A0", "A1", "A2", "A3", "A4"], case_sensitive=False)
+"""Size of a sheet."""
 
 
 def example(*lines: str) -> str:
-    """Return the epilog of a command's help: lines that somebody can copy."""
+    """Return the epilog of a command's help: an example to copy."""
     return "\b\nExample:\n" + "\n".join(f"  {line}" for line in lines)
 
 
@@ -123,7 +125,7 @@ def sensor_option(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def columns_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add `--columns` to a command that reads clouds; it takes the names as `columns`, None if they are not given."""
+    """Add `--columns` to a command that reads clouds; it takes the names as `columns`, or None."""
     return click.option(
         "--columns", metavar="NAMES", callback=lambda _ctx, _param, value: value and tuple(value.split(",")),
         help="Names of the columns of clouds that do not name them (CSV, .bin, .npy): x,y,z,_,ring.",
@@ -132,11 +134,11 @@ def columns_option(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def force_option(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--force` to a command that writes files; it takes the value as `force`."""
-    return click.option("--force", is_flag=True, help="Write over files that are there, inputs never.")(function)
+    return click.option("--force", is_flag=True, help="Replace existing files, but never inputs.")(function)
 
 
 def pool_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add `--workers`, `--dask` and `--dask-tls`; the command takes what they make as `pool`, None for the default."""
+    """Add `--workers`, `--dask` and `--dask-tls`; the command takes the pool that they describe as `pool`, or None."""
 
     @wraps(function)
     def with_pool(*args: Any, workers: int | None, dask: str | None, dask_tls: Any, **kwargs: Any) -> Any:
@@ -161,6 +163,6 @@ def seed_option(what: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]
     """Return the decorator that adds `--seed`.
 
     Args:
-        what: is drawn from it, for the help.
+        what: the help: what is drawn from it.
     """
     return click.option("--seed", type=click.IntRange(0, MOST_SEED), default=0, show_default=True, help=what)

@@ -1,4 +1,4 @@
-"""What a command will write, checked before the work: the place, the rights, the room, and what would be lost."""
+"""Outputs of a command, checked before the work: place, rights, room on the disk, and files that would be lost."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ OF_INPUTS = frozenset({
     ".json", ".xml", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".c3d", ".tsv", ".mat", ".trc", ".stl", ".obj", ".ipynb",
     ".py", ".md", ".txt",
 })  # fmt: skip
-"""Endings of files that hold somebody's work: they are not written over unasked."""
+"""Endings of files that may hold a user's work: they are replaced only with `--force`."""
 
 JOURNALED = ("estimate", "detect", "map", "mocap", "camera-calibration", "rig", "sensor-calibration")
-"""Forms that are kept beside their file until it is whole."""
+"""Forms of which finished parts are kept in a journal beside the file until it is whole."""
 
 LEAST_ROOM = 1 << 20
-"""Bytes that must be free where something is written."""
+"""Bytes that must be free on the disk."""
 
 
 class Outputs:
     """The outputs of one run of a command.
 
-    An existing file is replaced if it is an older result of the same form, or if its ending is none that inputs have;
-    any other only with `force`. An input is never written over.
+    An existing file is replaced if it is an older result of the same form, or if inputs never have its ending; any
+    other file only with `force`. An input is never replaced.
 
     Args:
-        inputs: files that the command reads, lists of files among them (`@list`). What a session or a scene names is
-            an input as well.
-        force: write over what is there.
+        inputs: files that the command reads, including lists of files (`@list`). The files that a session or a scene
+            names are inputs, too.
+        force: replace existing files.
     """
 
     def __init__(self, inputs: Iterable[str | Path | None] = (), *, force: bool = False) -> None:
@@ -56,8 +56,8 @@ class Outputs:
             option: that names it, for messages.
             path: of the file; None: nothing is written.
             form: kind of our own that it is, such as "estimate"; "": another program's.
-            bytes_needed: that it will take, about.
-            replace: whether an older result of that form may be replaced unasked.
+            bytes_needed: its approximate size.
+            replace: whether an older result of that form may be replaced without `force`.
 
         Raises:
             InputError: it cannot be written, is an input, or would replace something else.
@@ -81,14 +81,14 @@ class Outputs:
     def folder(
         self, option: str, path: Path | None, files: Iterable[str] = (), form: str = "", *, replace: bool = True
     ) -> None:
-        """Check a folder, which is made if it is not there, and what will be written into it.
+        """Check a folder, which may be missing, and the files that will be written into it.
 
         Args:
             option: that names it, for messages.
             path: of the folder; None: nothing is written.
             files: names of the files in it.
             form: kind of our own that these are.
-            replace: whether older ones may be replaced unasked.
+            replace: whether older ones may be replaced without `force`.
 
         Raises:
             InputError: it cannot be written, or is a file; or one of the files would be lost.
@@ -107,7 +107,7 @@ class Outputs:
                 self.file(option, path / name, form, replace=replace)
 
     def new(self, option: str, path: Path) -> None:
-        """Check a file that a command makes beside others: it is written over only with `force`.
+        """Check a file that a command makes beside others: it is replaced only with `force`.
 
         Args:
             option: that leads to it, for messages.
@@ -148,20 +148,20 @@ class Outputs:
 
 
 def _named_in(path: Path) -> list[Path]:
-    """The files that a session or a scene names."""
+    """Return the files that a session or a scene names."""
     from optshape_graph.io.documents import named_files
     from optshape_graph.io.files import read_head
 
     if path.suffix.lower() not in (".yaml", ".yml", ".json"):
         return []
-    with suppress(InputError):  # said where it is read
+    with suppress(InputError):  # reported when it is read
         if re.search(rb"optshape/(session|scene)/", read_head(path, 4096)):
             return named_files(path)
     return []
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Device and number of a file, whatever name leads to it; None: there is none."""
+    """Return device and number of a file, the same for every name of it; None: there is no file."""
     try:
         state = path.stat()
     except (OSError, ValueError):
@@ -185,7 +185,7 @@ def _is_special(path: Path) -> bool:
 
 
 def _is_older(path: Path, form: str) -> bool:
-    """Whether a file is empty, an older result of a form, or of a kind that is nobody's input."""
+    """Return whether a file is empty, an older result of a form, or of a kind that is never an input."""
     if path.stat().st_size == 0:
         return True
     if form:

@@ -1,4 +1,4 @@
-"""`--plot DIR`, `--plot-format`: pictures of what a command found, whose names are told at the end."""
+"""`--plot DIR`, `--plot-format`: pictures of what a command found; their names are printed at the end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from optshape_graph.scan import Scan
 
 ENDING = "optshape_graph.cli.plots.ending"
-"""Where the context of a command keeps the ending of its pictures."""
+"""Key under which the context of a command keeps the ending of its pictures."""
 
 IMAGES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
 
@@ -44,7 +44,7 @@ def plot_option(what: str, *aliases: str) -> Callable[[Callable[..., Any]], Call
 
 
 def plot_format_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add `--plot-format` to a command; `picture_ending` tells it."""
+    """Add `--plot-format` to a command; `picture_ending` returns its value."""
     return click.option(
         "--plot-format", type=click.Choice(["png", "svg", "pdf"]), default="png", show_default=True,
         help="Of the pictures.", expose_value=False, is_eager=True, callback=_keep_ending,
@@ -52,7 +52,7 @@ def plot_format_option(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def picture_ending() -> str:
-    """Return the ending of pictures that the command at work was asked for."""
+    """Return the ending of pictures that the running command was asked for."""
     context = click.get_current_context(silent=True)
     return "png" if context is None else str(context.meta.get(ENDING, "png"))
 
@@ -62,10 +62,10 @@ def _keep_ending(context: click.Context, parameter: click.Parameter, value: str)
 
 
 class Pictures:
-    """Pictures on their way into a folder. One of the same name that is there is replaced.
+    """Pictures for a folder; one of the same name is replaced.
 
     Args:
-        folder: where to; it is made when there is a first one.
+        folder: made with the first picture.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -73,7 +73,7 @@ class Pictures:
         self.paths: list[Path] = []
 
     def save(self, name: str, figure: Figure) -> None:
-        """Write a figure, whatever characters its name has."""
+        """Write a figure; its name may have any characters."""
         self.paths.append(save_picture(self.folder, name, figure, self.ending))
 
     def tell(self) -> None:
@@ -83,14 +83,14 @@ class Pictures:
 
 
 def save_picture(folder: Path, name: str, figure: Figure, ending: str = "png") -> Path:
-    """Write a figure as NAME.ENDING into a folder, whatever characters the name has; return its path."""
+    """Write a figure as NAME.ENDING into a folder, and return its path; the name may have any characters."""
     from optshape_graph.viz.style import save_figure
 
     return save_figure(figure, folder / f"{file_name(name)}.{ending}")
 
 
 def names_of(paths: Sequence[str]) -> dict[str, str]:
-    """Return a name for the pictures of each file: its own without the ending, numbered where two are alike."""
+    """Return a name for the pictures of each file: its own without the ending, numbered if two are equal."""
     times = Counter(Path(path).stem for path in paths)
     stems = ((k, path, Path(path).stem) for k, path in enumerate(paths))
     return {path: stem if times[stem] == 1 else f"{k:03d}_{stem}" for k, path, stem in stems}
@@ -98,7 +98,7 @@ def names_of(paths: Sequence[str]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Draw:
-    """Draws what was found in a scan, in whatever process it was found: what `run_files` tasks call then.
+    """Draws what was found in a scan; tasks of `run_files` call it, in any process.
 
     Attributes:
         folder: for the pictures.
@@ -118,7 +118,7 @@ class Draw:
 
 
 def check_picture(path: Path | None) -> None:
-    """Find out before the work is done that a picture of that name cannot be drawn.
+    """Check before the work that a picture of that name can be drawn.
 
     Args:
         path: of the picture; None: none is wanted.
@@ -136,7 +136,7 @@ def check_picture(path: Path | None) -> None:
 
 
 def _checked(ctx: click.Context, parameter: click.Parameter, value: Path | None) -> Path | None:
-    """Find out before the work is done, and not after it, that nothing could be drawn."""
+    """Check before the work that pictures can be drawn."""
     if value is None:
         return None
     if value.suffix.lower() in IMAGES:

@@ -1,4 +1,4 @@
-"""Where a run's time went: by room of the package, and by function."""
+"""The time of a run: by room of the package, and by function."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ SHOWN = 12
 """Functions that are shown, those with the most time of their own first."""
 
 PASSES = 60
-"""How deep calls among libraries are followed to the function of the package that made them."""
+"""Depth to which calls among libraries are followed back to the function of the package that made them."""
 
 Function = tuple[str, int, str]
-"""File, line and name, as the profiler has them."""
+"""File, line and name, as the profiler gives them."""
 
 
 def room_of(function: Function) -> str | None:
-    """Return the room of the package that a function is in; None: it is no function of the package."""
+    """Return the room of the package that a function is in; None: it is outside the package."""
     file, _, _ = function
     if "importlib" in file:
         return "imports"
@@ -37,12 +37,12 @@ def room_of(function: Function) -> str | None:
 
 
 def time_by_room(calls: Mapping[Function, tuple[Any, ...]]) -> dict[str, float]:
-    """Return the seconds that each room took, those of the libraries that it called included.
+    """Return the seconds that each room took, including the libraries that it called.
 
-    What is outside the package is charged to its callers, in proportion to the time it took for each.
+    The time of functions outside the package is charged to their callers, in proportion to the time spent for each.
 
     Args:
-        calls: of each function, as `pstats.Stats.stats` has it: calls, all calls, own seconds, seconds, and the same by
+        calls: for each function, as in `pstats.Stats.stats`: calls, all calls, own seconds, seconds, and the same by
             caller.
     """
     rooms: dict[str, float] = defaultdict(float)
@@ -74,7 +74,7 @@ def time_by_room(calls: Mapping[Function, tuple[Any, ...]]) -> dict[str, float]:
 
 @contextlib.contextmanager
 def profiled() -> Iterator[None]:
-    """Print where the time of the block went, when it ends, however it ends."""
+    """Print where the time of the block went, however the block ends."""
     profiler = cProfile.Profile()
     profiler.enable()
     try:

@@ -1,4 +1,4 @@
-"""What a command over many scans prints: a table of few, counts of many, and the reasons."""
+"""Output of a command over many scans: a table of few scans, counts of many, and the reasons of failures."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
     from optshape_graph.runs.workers import Pool
 
 MOST_ROWS = 500
-"""Scans that a table shows; of more, how many ended how."""
+"""Scans that a table shows at most; of more scans only the number of each status is printed."""
 
 MOST_REASONS = 100
-"""Lines on standard error."""
+"""Reasons that are printed at most, on standard error."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """What is printed of each scan.
+    """The table of scans.
 
     Attributes:
         title: above it.
         columns: their headings.
-        rows_of: rows of an entry of the document and its status.
+        rows_of: returns the rows for an entry of the document and its status.
         note: below it.
     """
 
@@ -52,7 +52,7 @@ def run_over(
     plots: Path | None,
     pool: Pool | None,
 ) -> int:
-    """Run a task over scans, print what comes of it, and return the exit status.
+    """Run a task over scans, print the results, and return the exit status.
 
     Args:
         task: of a path, with `failed` and `describe`: see `runs.files.run_files`.
@@ -61,8 +61,8 @@ def run_over(
         form: of the document.
         output: the document; None: none is written.
         html: the report of the first `MOST_ROWS` scans; None: none.
-        plots: folder of pictures. A run that is to draw finds nothing done by one that was not. None: none.
-        pool: what works; None: this process.
+        plots: folder of pictures, or None. A run with pictures does not take results from a journal without them.
+        pool: the workers; None: this process.
     """
     from optshape_graph.runs.files import run_files
 

@@ -1,4 +1,4 @@
-"""`optshape simulate`: a scan with known truth."""
+"""`optshape simulate`: make a scan with known truth."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NOISE_OPTIONS = {
     "hit_fraction": ("--hit-fraction", "P", 1.0, "Share of a beam that must lie on a target to return from it."),
     "edge_spread": ("--edge-spread", "RADII", 100.0, "How far from there the decision may fall, in beam radii."),
 }
-"""Part of the noise, and its option, metavar, largest value and help."""
+"""Parts of the noise: option, metavar, largest value and help of each."""
 
 
 def noise_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -93,7 +93,7 @@ def command(
 
     With --range: the returns on one target that faces the sensor, turned by --rpy, its vertex mean at the distance
     along x. With --scene: the returns of everything in the scene. The truth has the output's name, ending in .json:
-    pose and vertices of every target in the LiDAR frame. A file that is there is written over only with --force.
+    pose and vertices of every target in the LiDAR frame. An existing file is replaced only with --force.
     """
     import numpy as np
 
@@ -150,7 +150,7 @@ def command(
 def _noise(
     sensor: SensorModel, level: str, range_only: bool, random_phase: bool, parts: dict[str, float | None]
 ) -> NoiseModel:
-    """The noise level, with the parts that were given in place of its own."""
+    """Return the noise level, with the given parts in place of its own."""
     import numpy as np
 
     from optshape_graph.simulation import NoiseModel

@@ -1,4 +1,4 @@
-"""`optshape view`: a scan or a result in space, in the Rerun viewer, as its recording, or in Open3D."""
+"""`optshape view`: show a scan or a result in space, in Rerun or Open3D, or write it as a recording of Rerun."""
 
 from __future__ import annotations
 

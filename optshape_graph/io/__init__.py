@@ -1,4 +1,4 @@
-"""Files in, files out: clouds, targets, sensors, sessions, markers, cameras. Knows the nouns only.
+"""Reading and writing of files: clouds, targets, sensors, sessions, markers, cameras. It knows the nouns only.
 
 Names are imported when they are first used.
 """

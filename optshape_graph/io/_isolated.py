@@ -1,8 +1,8 @@
-"""Program that reads a file by native code and writes what it has as arrays: `python -m ... FORMAT FILE FILE.npz`.
+"""A program that reads a file with native code and writes its content as arrays: `python -m ... FORMAT FILE FILE.npz`.
 
-It is a process of its own because the readers (ezc3d for C3D, scipy.io for MAT, Open3D for meshes, lazrs for LAZ,
-libE57 for E57) are native code that damaged files crash or hang: 6 of 60 damaged copies of a small C3D file (ezc3d
-1.7.2), some of thousands of a MAT file (scipy 1.17.1). That must cost an error message, not the caller's process.
+It runs in a process of its own, because damaged files crash or hang the native readers (ezc3d for C3D, scipy.io for
+MAT, Open3D for meshes, lazrs for LAZ, libE57 for E57): 6 of 60 damaged copies of a small C3D file did (ezc3d 1.7.2),
+and some of thousands of a MAT file (scipy 1.17.1). The caller then gets an error, and goes on.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 from optshape_graph.errors import InputError, missing_extra
 
 SECONDS = 120
-"""Time that reading a file may take."""
+"""Seconds that reading a file may take."""
 
 BYTES = 512 << 20
-"""Memory that reading any file may take beyond what the library takes; a test that damages files holds it."""
+"""Bytes of memory that reading any file may take, beside the library; a test reads damaged files within it."""
 
 TIMES = 20
-"""Memory that reading a file may take, in sizes of the file; five times that for LAZ, whose points are packed."""
+"""Memory that reading a file may take, as a multiple of its size; five times as much for LAZ, which is compressed."""
 
 ABSENT = 3
 """Exit status where the library cannot be imported."""
@@ -39,13 +39,13 @@ _LIBRARIES = {
     "c3d": ("ezc3d", "mocap"), "mat": ("scipy", "mocap"), "mesh": ("open3d", "mesh"), "las": ("laspy[lazrs]", "las"),
     "e57": ("pye57", "e57"),
 }  # fmt: skip
-"""What reads a form, and the extra that brings it."""
+"""The library that reads each form, and the extra that brings it."""
 
 Arrays = dict[str, NDArray[Any]]
 
 
 def read_isolated(form: str, path: Path) -> Arrays:
-    """Return what a file has, as it has it.
+    """Return the content of a file as arrays, in the file's own units.
 
     Args:
         form: "c3d", or "mat" as Qualisys Track Manager exports it; "mesh", of any format that Open3D reads; "las",
@@ -53,8 +53,8 @@ def read_isolated(form: str, path: Path) -> Arrays:
         path: the file.
 
     Returns:
-        Of markers, `positions` (F, M, 3) with NaN for gaps, `labels`, `rate` and `unit`; of a mesh, `vertices` (V, 3)
-        and `triangles` (T, 3); of a cloud, the columns that it has.
+        For markers `positions` (F, M, 3) with NaN for gaps, `labels`, `rate` and `unit`; for a mesh `vertices` (V, 3)
+        and `triangles` (T, 3); for a cloud its columns.
 
     Raises:
         InputError: not readable.
@@ -62,7 +62,7 @@ def read_isolated(form: str, path: Path) -> Arrays:
     """
     with tempfile.TemporaryDirectory() as folder:
         arrays = Path(folder) / "markers.npz"
-        # -P: a module lying in the current folder must not be taken for one of Python's.
+        # -P: a module in the current folder must not stand in for one of Python's.
         command = [sys.executable, "-P", "-m", "optshape_graph.io._isolated", form, str(path.resolve()), str(arrays)]
         environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
         try:
@@ -93,7 +93,9 @@ def _read_c3d(path: str) -> Arrays:
         str(label) for group in _COMPUTED for key in _counted(point, group) for label in point[key]["value"]
     )
     markers = []
-    for k in reversed(range(min(len(labels), points.shape[1]))):  # an output may have a marker's name: it comes later
+    for k in reversed(
+        range(min(len(labels), points.shape[1]))
+    ):  # a model's output may have a marker's name; it comes later
         if computed[labels[k]]:
             computed[labels[k]] -= 1
         else:
@@ -111,11 +113,11 @@ def _read_c3d(path: str) -> Arrays:
 
 
 _COMPUTED = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS", "MODELED_MARKERS")
-"""Parameters of C3D's POINT that list labels of what a model computed."""
+"""Parameters of C3D's POINT that list the labels of a model's outputs."""
 
 
 def _counted(point: Any, name: str) -> list[str]:
-    """The parameter, and those that go on where it is full: LABELS, LABELS2, LABELS3, ..."""
+    """Return a parameter and its continuations in order: LABELS, LABELS2, LABELS3, ..."""
     keys = [key for key in point if key == name or (key.startswith(name) and key[len(name) :].isdecimal())]
     return sorted(keys, key=lambda key: int(key[len(name) :] or 1))
 
@@ -130,7 +132,7 @@ def _read_mat(path: str) -> Arrays:
     labeled = takes[0]["Trajectories"]["Labeled"]
     labels = [str(label) for label in np.atleast_1d(labeled["Labels"])]
     data = np.asarray(labeled["Data"], dtype=float)
-    if data.ndim == 2:  # of one marker or one frame, MATLAB drops the dimension
+    if data.ndim == 2:  # MATLAB drops the dimension of a single marker or frame
         data = data[None] if len(labels) == 1 else data[:, :, None]
     if data.ndim != 3 or data.shape[1] < 3:
         raise ValueError(f"data of shape {data.shape}, expected labels x 4 x frames")
@@ -161,7 +163,7 @@ def _read_las(path: str) -> Arrays:
     for name in cloud.point_format.dimension_names:
         if name.lower() not in ("x", "y", "z"):
             values = np.asarray(cloud[name])
-            if values.shape == arrays["x"].shape and values.any():  # of a dimension that nobody filled, nothing is said
+            if values.shape == arrays["x"].shape and values.any():  # a dimension that nobody filled is left out
                 arrays[name] = values
     return arrays
 
@@ -188,7 +190,7 @@ def _read_e57(path: str) -> Arrays:
 
 
 def _limit_memory(form: str, path: str) -> None:
-    """Let this process take what `BYTES` and `TIMES` say, and no more."""
+    """Limit the memory of this process by `BYTES` and `TIMES`."""
     importlib.import_module(_LIBRARIES[form][0].partition("[")[0])
     pages = Path("/proc/self/statm")
     taken = int(pages.read_text().split()[5]) * resource.getpagesize() if pages.exists() else 1 << 30

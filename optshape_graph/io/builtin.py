@@ -1,4 +1,4 @@
-"""What is shipped with the package: targets and sensors, to be named instead of giving a file, and a session."""
+"""Files shipped with the package: targets and sensors that go by a name instead of a path, and a session."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ RENAMED = {
     "target": {"optimal": "score-optimal", "optimal3": "score-optimal3", "optimal5": "score-optimal5"},
     "sensor": {},
 }
-"""Former names that files may have: what `optimal` maximises is the paper's score, not how well a pose is known."""
+"""Former names that files may use. `optimal` was misleading: it maximises the paper's score, not the pose's
+accuracy."""
 
 
 def builtin_names(kind: str) -> list[str]:
-    """The names of the built-in `kind` ("target" or "sensor"), in order."""
+    """Return the names of the built-in files of a kind, "target" or "sensor", in order."""
     return sorted(path.stem for path in (_DATA / f"{kind}s").glob("*.yaml"))
 
 
@@ -28,7 +29,7 @@ def demo_folder() -> Path:
 
 
 def find(kind: str, name: str, folder: Path | None = None) -> Path:
-    """Return the file of a built-in name or of a path, a relative path starting at `folder`.
+    """Return the file that a built-in name or a path stands for; a relative path starts at `folder`.
 
     A built-in name wins over a file of exactly that name: `./square` is the file, `square` the built-in.
 

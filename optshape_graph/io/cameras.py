@@ -1,4 +1,4 @@
-"""Camera intrinsics: this package's own form, and whatever other programs write."""
+"""Camera intrinsics: files of this package's own form, and of other programs."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ SCHEMA = "optshape/camera/1"
 
 
 def load_camera(path: str | Path, name: str | None = None) -> CameraIntrinsics:
-    """Read intrinsics; the form is told by what the file holds.
+    """Read intrinsics; the content of the file tells its form.
 
     - This package's own, with `schema: optshape/camera/1`.
     - Those of other programs: see `foreign_cameras`.
 
     Args:
         path: a YAML, JSON, XML or INI file; or FILE:NAME.
-        name: which camera of a file with several; not needed, and not looked at, otherwise.
+        name: which camera of a file with several; otherwise ignored.
 
     Raises:
-        InputError: not readable, none of these forms, a model this package does not have, or values that no camera has
-            (see `CameraIntrinsics`).
+        InputError: not readable, none of these forms, a camera model that this package does not have, or values that
+            no camera has (see `CameraIntrinsics`).
     """
     path, name = _file_and_name(Path(path), name)
     root = read_foreign_document(path)
@@ -56,7 +56,7 @@ def save_camera(path: str | Path, camera: CameraIntrinsics) -> None:
 
 
 def _file_and_name(path: Path, name: str | None) -> tuple[Path, str | None]:
-    """FILE and NAME of FILE:NAME, unless that is a file."""
+    """Return FILE and NAME of FILE:NAME, unless the whole is the path of a file."""
     file, colon, of_camera = path.name.rpartition(":")
     return (path.with_name(file), of_camera) if colon and file and not is_file(path) else (path, name)
 

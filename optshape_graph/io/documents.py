@@ -1,6 +1,6 @@
 """YAML and JSON documents: read safely, with the place of every value for messages; written atomically.
 
-Only plain data come out: mappings with text keys, lists, text, numbers, booleans and null. Duplicate keys, and
+Reading gives plain data only: mappings with text keys, lists, text, numbers, booleans and null. Duplicate keys, and
 documents beyond a size or depth, are refused.
 """
 
@@ -48,10 +48,10 @@ def read_document(path: str | Path, kind: str, version: int = 1, anywhere: bool 
         path: a `.json` file, or else YAML.
         kind: what the file should be, as in `schema: optshape/<kind>/<version>`.
         version: the version that the caller reads.
-        anywhere: whether the files that it names may be outside of its folder (see `Node.place`).
+        anywhere: whether the files that it names may lie outside its folder (see `Node.place`).
 
     Raises:
-        InputError: not readable, not well-formed, of another kind or version, or not what the schema says.
+        InputError: not readable, not well-formed, of another kind or version, or in conflict with the schema.
     """
     root = read_plain(path)
     check_document(root, kind, version)
@@ -59,7 +59,7 @@ def read_document(path: str | Path, kind: str, version: int = 1, anywhere: bool 
 
 
 def read_plain(path: str | Path) -> Node:
-    """Read a `.json` file, or else YAML, of whatever form.
+    """Read a `.json` file, or else YAML, of any form.
 
     Raises:
         InputError: not readable, or not well-formed.
@@ -68,10 +68,10 @@ def read_plain(path: str | Path) -> Node:
 
 
 def check_document(root: Node, kind: str, version: int = 1) -> None:
-    """Check that a document says it is of a kind and version, and fits the schema of that form.
+    """Check that a document states a kind and version, and fits the schema of that form.
 
     Raises:
-        InputError: it says nothing or something else, or does not fit.
+        InputError: it states none or another, or does not fit.
     """
     wanted = f"optshape/{kind}/{version}"
     if not isinstance(root.value, dict):
@@ -90,7 +90,7 @@ def check_document(root: Node, kind: str, version: int = 1) -> None:
 
 
 def named_files(path: str | Path) -> list[Path]:
-    """Return the files that a document names, whatever their keys: texts that lead to a file from its folder.
+    """Return the files that a document names under any key: texts that are paths of files from its folder.
 
     Raises:
         InputError: the document is not readable.
@@ -111,7 +111,7 @@ def read_yaml(path: str | Path) -> Node:
     """Read a YAML document.
 
     Raises:
-        InputError: not readable, not well-formed, or with what this package refuses in YAML.
+        InputError: not readable, not well-formed, or YAML that this package refuses (tags, duplicate keys, ...).
     """
     text = read_text(path, LARGEST_YAML)
     value, lines = parse_yaml(path, text)
@@ -149,7 +149,7 @@ def read_json(path: str | Path) -> Node:
 
 
 def write_json(path: str | Path, value: Any) -> None:
-    """Write plain data, NumPy arrays and scalars as JSON: floats read back as they were, one row of numbers per line.
+    """Write plain data, NumPy arrays and scalars as JSON. Floats keep all bits; a row of numbers is one line.
 
     Raises:
         InputError: a number is not finite, a value has no JSON form, or the file cannot be written.
@@ -162,7 +162,7 @@ def json_text(value: Any, what: str, indent: str = "") -> str:
 
     Args:
         value: the data.
-        what: they are, for messages.
+        what: the name of the data in messages.
         indent: of all lines but the first.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Bytes in and out: bounded reading, and writing that never leaves half a file under the final name."""
+"""Bounded reading of files, and writing that never leaves half a file under the final name."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from typing import BinaryIO
 from optshape_graph.errors import InputError
 
 LARGEST_FILE = 2 << 30
-"""Bytes of a data file (2 GiB); far beyond any single scan."""
+"""Bytes that a data file has at most (2 GiB), far more than any single scan."""
 
 _PIECE = 1 << 20
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is a file of that name, for any name whatever (too long, with a NUL, ...)."""
+    """Return whether there is a file of that name, whatever the name (too long, with a NUL, ...)."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -27,15 +27,15 @@ def is_file(path: Path) -> bool:
 
 
 def inside(path: Path, folder: Path, what: str) -> Path:
-    """Return a path that is in a folder, or in one of its folders, links followed.
+    """Return a path with its links followed, if it stays in a folder or in a folder of it.
 
     Args:
-        path: what a file of the folder names.
-        folder: what it must not lead out of.
+        path: that a file in the folder names.
+        folder: that the path must stay in.
         what: the folder in words, for messages.
 
     Raises:
-        InputError: it leads out, or is no path at all.
+        InputError: the path leads out of the folder, or is not a path.
     """
     try:
         place = path.resolve()
@@ -55,9 +55,7 @@ def read_bytes(path: str | Path, largest: int = LARGEST_FILE) -> bytes:
     path = Path(path)
     try:
         expected = _check_regular(path)
-        with path.open(
-            "rb"
-        ) as stream:  # read(n) allocates n bytes at once: of a file its size, of a pipe piece by piece
+        with path.open("rb") as stream:  # read(n) allocates n bytes at once: the size of a file, or a piece of a pipe
             pieces, size = [], 0
             while size <= largest and (piece := stream.read(min(expected, largest) + 1 if not size else _PIECE)):
                 pieces.append(piece)
@@ -70,14 +68,14 @@ def read_bytes(path: str | Path, largest: int = LARGEST_FILE) -> bytes:
         raise InputError(f"{path}: cannot be read ({_reason(error)})") from error
     if size > largest:
         raise InputError(f"{path}: larger than {largest} bytes, the most that is read of such a file")
-    return b"".join(pieces)  # of one piece: itself
+    return b"".join(pieces)  # of one piece: without a copy
 
 
 def _check_regular(path: Path) -> int:
-    """Return the size of a file, of a pipe that of a piece; refuse what is neither.
+    """Return the size of a file, or of a piece of a pipe; refuse anything else.
 
-    A device has no end, and a named pipe may have none, nor a beginning. What a shell makes of `<(...)`, and
-    /dev/stdin, are pipes that it has filled: they are read.
+    A device has no end, and reading a named pipe may wait for ever. The pipes that a shell makes of `<(...)`, and
+    /dev/stdin, are read.
     """
     found = path.stat()
     mode = found.st_mode
@@ -90,7 +88,7 @@ def _check_regular(path: Path) -> int:
 
 
 def read_head(path: str | Path, size: int) -> bytes:
-    """Return the first bytes of a file; of anything else than a regular file none.
+    """Return the first bytes of a regular file; none of anything else.
 
     Raises:
         InputError: the file is missing or not readable.
@@ -136,7 +134,7 @@ def write_atomically(path: str | Path, data: bytes | str) -> None:
 def open_atomically(path: str | Path) -> Iterator[BinaryIO]:
     """Open a file to be written whole or not at all.
 
-    The data go to a temporary file in the same folder, reach the disk, and are then renamed: whoever opens `path`
+    The data go to a temporary file in the same folder, reach the disk, and are then renamed: a reader of `path`
     sees the old content or the new one. A device or pipe (/dev/stdout) is written to as it is.
 
     Args:
@@ -155,7 +153,7 @@ def open_atomically(path: str | Path) -> Iterator[BinaryIO]:
             with path.open("wb") as stream:
                 yield stream
             return
-        final = path.resolve()  # a symbolic link stays one: its destination is replaced
+        final = path.resolve()  # a symbolic link stays; its destination is replaced
         temporary = final.with_name(f".{final.name[:200]}.{secrets.token_hex(4)}.tmp")
         with temporary.open("xb") as stream:
             yield stream

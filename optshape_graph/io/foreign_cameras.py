@@ -1,4 +1,4 @@
-"""Camera intrinsics of other programs: what their files call a camera matrix, a distortion and an image size.
+"""Camera intrinsics in files of other programs: camera matrix, distortion and image size under their names.
 
 | form | told by |
 |---|---|
@@ -9,7 +9,7 @@
 | EuRoC `sensor.yaml` | `intrinsics` and `resolution` |
 | files with a number for each of fx, fy, cx, cy (Apollo, camodocal and VINS, ORB-SLAM) | `fx` or `mu` |
 
-What isn't needed is passed over, whatever it is. Names of keys count without their case, underscores and dots.
+Other keys are ignored. Case, underscores and dots in the names of keys are ignored, too.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _MODELS = {
     "equidistant": ("equidistant", "equidistant4", "equi", "fisheye", "opencvfisheye", "kannalabrandt",
                     "kannalabrandt4", "kannalabrandt8"),
 }  # fmt: skip
-"""This package's models, and what others call them; names as `_plain` leaves them."""
+"""This package's models, and the names that others use for them, as `_plain` returns them."""
 
 _KNOWN = (
     "expected plumb_bob, radtan, rational_polynomial (OpenCV's pinhole models) or equidistant, fisheye (OpenCV's "
@@ -56,7 +56,7 @@ _EXPECTED = (
 
 
 def read_foreign_document(path: Path) -> Node:
-    """Read YAML, JSON, XML of OpenCV or INI of ROS; of YAML, OpenCV's first line and tags are passed over.
+    """Read YAML, JSON, XML of OpenCV or INI of ROS; OpenCV's first line and tags in YAML are ignored.
 
     Raises:
         InputError: not readable, or none of these.
@@ -73,7 +73,7 @@ def read_foreign_document(path: Path) -> Node:
 
 
 def camera_names(root: Node) -> list[str]:
-    """Return the names of a document's cameras, where it has several by name; else none."""
+    """Return the names of a document's cameras, if it has named cameras; else none."""
     if not isinstance(root.value, dict):
         return []
     return [key for key, node in root.entries().items() if _first(_named(node), ("intrinsics", *_MATRIX))]
@@ -111,13 +111,13 @@ def read_foreign_camera(root: Node, name: str | None) -> CameraIntrinsics:
 
 
 def make_camera(name: str, model: str, width: int, height: int, K: Any, D: Iterable[float]) -> CameraIntrinsics:
-    """Return a camera of what another program calls its model.
+    """Return a camera whose model goes by another program's name.
 
-    Zeros beyond the coefficients that the model has are dropped; without any coefficient but zero it has none.
+    Zeros beyond the model's coefficients are dropped; if all coefficients are zero, the camera has none.
 
     Args:
         name: of the camera.
-        model: as the other program has it; "" stands for what the number of coefficients says.
+        model: as the other program calls it; "": the number of coefficients tells.
         width: pixels.
         height: pixels.
         K: nine numbers, or 3 x 3.
@@ -142,7 +142,7 @@ def make_camera(name: str, model: str, width: int, height: int, K: Any, D: Itera
 
 
 def _camera(node: Node, fields: dict[str, Node], name: str) -> CameraIntrinsics:
-    """The camera of a mapping that has its parameters, under whatever names."""
+    """Return the camera whose parameters a mapping has, under any of the known names."""
     _refuse_cropped(fields)
     width, height = _image_size(node, fields)
     model = _model(fields)
@@ -157,7 +157,7 @@ def _camera(node: Node, fields: dict[str, Node], name: str) -> CameraIntrinsics:
 
 
 def _model(fields: dict[str, Node]) -> str:
-    """What the file calls its model: that of the projection where it isn't a pinhole's, else that of the distortion."""
+    """Return the file's name of the model: that of the projection if it is not a pinhole, else of the distortion."""
     projection = _first(fields, ("cameramodel", "projectionmodel", "modeltype", "cameratype", "camera1type", "model"))
     distortion = _first(fields, ("distortionmodel", "distortiontype"))
     fisheye = _first(fields, ("fisheyemodel", "fisheye"))
@@ -239,7 +239,7 @@ def _count(node: Node) -> int:
 
 
 def _refuse_cropped(fields: dict[str, Node]) -> None:
-    """Refuse intrinsics of binned or cropped images, as CameraInfo may say."""
+    """Refuse intrinsics of binned or cropped images, which CameraInfo may be."""
     for key in ("binningx", "binningy"):
         if key in fields and fields[key].number() > 1:
             fields[key].expected("0 or 1: intrinsics of binned images are not read")
@@ -250,7 +250,7 @@ def _refuse_cropped(fields: dict[str, Node]) -> None:
 
 
 def _flat(node: Node) -> list[float]:
-    """All numbers of a matrix: `data` of a mapping, or a list, nested or not."""
+    """Return all numbers of a matrix: `data` of a mapping, or a list, nested or not."""
     if isinstance(node.value, dict):
         return _flat(node.fields(["data"])["data"])
     if isinstance(node.value, list):
@@ -259,7 +259,7 @@ def _flat(node: Node) -> list[float]:
 
 
 def _named(node: Node) -> dict[str, Node]:
-    """The values of a mapping by the plain form of their keys; empty for anything else."""
+    """Return the values of a mapping by the plain form of their keys; empty for anything else."""
     if not isinstance(node.value, dict):
         return {}
     return {_plain(key): value for key, value in node.entries().items()}
@@ -278,7 +278,7 @@ def _plain(name: str) -> str:
 
 
 def _opencv_xml(path: Path, text: str) -> dict[str, Any]:
-    """An OpenCV FileStorage in XML as plain data."""
+    """Return an OpenCV FileStorage in XML as plain data."""
     from xml.etree import ElementTree
 
     if "<!" in re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL):
@@ -310,7 +310,7 @@ def _number(word: str) -> float | int | None:
 
 
 def _ros_ini(path: Path, text: str) -> dict[str, Any]:
-    """The file that ROS's calibrator writes beside `ost.yaml`: titles, each with its numbers on the lines after it."""
+    """Return the file that ROS's calibrator writes beside `ost.yaml`: titles, each followed by lines of numbers."""
     found: dict[str, Any] = {}
     title = ""
     for line in text.splitlines():

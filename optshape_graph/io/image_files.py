@@ -1,7 +1,7 @@
-"""Image files to pixels. OpenCV decodes them, after what they promise was compared with what is there.
+"""Pixels of image files. OpenCV decodes them, after the sizes that their headers state were checked.
 
-On its own it allocates what a header says before it looks at the data: up to a thousand million pixels, and for a chunk
-of a PNG file, 4 GB.
+OpenCV itself allocates the size in a header before it looks at the data: up to a thousand million pixels, and 4 GB for
+a chunk of a PNG file.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from optshape_graph.errors import InputError, missing_extra
 from optshape_graph.io.files import read_head
 
 LARGEST_IMAGE = 1 << 28
-"""Pixels of an image: the largest sensors of industrial cameras have 250 million."""
+"""Pixels that an image has at most; the largest sensors of industrial cameras have 250 million."""
 
 FORMATS = "PNG, JPEG, BMP, TIFF or PNM"
 
@@ -27,12 +27,12 @@ _PNM = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\
 
 
 def decode_image(data: bytes, name: str, channels: int | None = None) -> NDArray[np.uint8]:
-    """Return the pixels of an image file's bytes, 8 bit: (h, w) of a grey image, (h, w, 3) blue, green, red of others.
+    """Return the pixels of an image file's bytes, 8 bit: (h, w) if grey, else (h, w, 3) blue, green, red.
 
     Args:
         data: a PNG, JPEG, BMP, TIFF or PNM file.
         name: the file, for messages.
-        channels: 1: every image becomes grey; 3: every image becomes one of colours.
+        channels: 1: the image is made grey; 3: it is made blue, green, red; None: it stays as it is.
 
     Raises:
         InputError: another format, damaged, or of more than `LARGEST_IMAGE` pixels.
@@ -46,7 +46,7 @@ def decode_image(data: bytes, name: str, channels: int | None = None) -> NDArray
     if not 0 < width * height <= LARGEST_IMAGE:
         raise InputError(f"{name}: {width} x {height} pixels; expected at most {LARGEST_IMAGE} in all")
     log = cv2.utils.logging
-    level = log.setLogLevel(0)  # what is wrong is said by the error, not on standard error
+    level = log.setLogLevel(0)  # the error reports what is wrong, not standard error
     modes = {1: cv2.IMREAD_GRAYSCALE, 3: cv2.IMREAD_COLOR, None: cv2.IMREAD_ANYCOLOR}
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), modes[channels])
@@ -60,7 +60,7 @@ def decode_image(data: bytes, name: str, channels: int | None = None) -> NDArray
 
 
 def image_size(data: bytes) -> tuple[int, int] | None:
-    """Return width and height that an image file states; None: a format that is not known here, or cut off."""
+    """Return the width and height that an image file states; None: an unknown format, or a file that is cut off."""
     try:
         if data.startswith(b"\x89PNG\r\n\x1a\n"):
             width, height = _png_size(data)
@@ -77,7 +77,7 @@ def image_size(data: bytes) -> tuple[int, int] | None:
             return None
     except (struct.error, IndexError, KeyError):
         return None
-    return int(width), abs(int(height))  # of a BMP, the sign says which row is first
+    return int(width), abs(int(height))  # the sign in a BMP tells which row is first
 
 
 def read_video(path: Path) -> Iterator[NDArray[np.uint8]]:
@@ -89,7 +89,7 @@ def read_video(path: Path) -> Iterator[NDArray[np.uint8]]:
     """
     head = read_head(path, 16)
     if not (head[4:8] == b"ftyp" or (head[:4] == b"RIFF" and head[8:12] == b"AVI ") or head[:4] == b"\x1aE\xdf\xa3"):
-        # OpenCV's decoders would also follow a list of addresses
+        # OpenCV's decoders would also follow a playlist of addresses
         raise InputError(f"{path}: not a video; expected MP4, AVI or MKV")
     cv2 = opencv()
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
@@ -150,7 +150,7 @@ def tag_cells(dictionary: str, number: int) -> NDArray[np.bool_]:
 
 
 def _png_size(data: bytes) -> tuple[int, int]:
-    """Width and height in the first chunk, where all chunks up to the last are there (PNG, section 5.3)."""
+    """Return width and height from the first chunk, if all chunks up to the last are there (PNG, section 5.3)."""
     at, kind = 8, b""
     while kind != b"IEND":
         length, kind = struct.unpack_from(">I4s", data, at)
@@ -162,7 +162,7 @@ def _png_size(data: bytes) -> tuple[int, int]:
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int]:
-    """Height and width in the first start-of-frame segment (ITU T.81, B.2.2)."""
+    """Return height and width from the first start-of-frame segment (ITU T.81, B.2.2)."""
     at = 2
     while data[at] == 0xFF:
         marker = data[at + 1]
@@ -178,7 +178,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
 
 
 def _tiff_size(data: bytes) -> tuple[int, int]:
-    """Width and height among the entries of the first directory (TIFF 6.0, section 2)."""
+    """Return width and height from the first directory (TIFF 6.0, section 2)."""
     order = "<" if data[:2] == b"II" else ">"
     (at,) = struct.unpack_from(order + "I", data, 4)
     (entries,) = struct.unpack_from(order + "H", data, at)

@@ -19,10 +19,10 @@ from optshape_graph.io.yaml_core import parse_yaml
 _LOG = logging.getLogger(__name__)
 
 LARGEST = 16 << 20
-"""Bytes of such a file."""
+"""Bytes that such a file has at most."""
 
 OFFSET_M = 0.02
-"""A beam that starts this far above or below the others counts: the sensor model has all start at one point."""
+"""A warning is given if beams start this far above each other: in the sensor model all start at one point."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,10 +41,10 @@ class MakerTable(Value):
 
 
 def read_maker_table(path: Path) -> MakerTable | None:
-    """Return the beams in a maker's file; None: it is none of those.
+    """Return the beams in a maker's file; None: it is not such a file.
 
     Raises:
-        InputError: one of those, with angles that no sensor has.
+        InputError: such a file, with angles that no sensor has.
     """
     suffix = path.suffix.lower()
     if suffix == ".json":
@@ -83,7 +83,7 @@ def _ouster(root: Node) -> MakerTable | None:
 
 
 def _find(value: Any, key: str, depth: int = 0) -> Any:
-    """The first value under a key, at whatever depth."""
+    """Return the first value under a key, at any depth."""
     if isinstance(value, dict) and depth < 6:
         if key in value:
             return value[key]
@@ -133,7 +133,7 @@ def _angles(path: Path, text: str) -> MakerTable:
 
 
 def _table(path: Path, elevations: Floats, offsets: Floats | None, step: float | None) -> MakerTable:
-    """The table in this package's order, of degrees."""
+    """Return the table of angles in degrees, sorted by elevation."""
     if not (np.isfinite(elevations).all() and np.abs(elevations).max() < 90):
         raise InputError(f"{path}: elevation {np.nanmax(np.abs(elevations)):g} deg; expected all within 90 deg")
     order = np.argsort(elevations, kind="stable")

@@ -1,4 +1,4 @@
-"""Motion-capture markers: a CSV file with the columns frame, marker, x, y, z, or what a vendor's program exports."""
+"""Markers of a session: a CSV file with the columns frame, marker, x, y, z, or a vendor's export (`io.mocap`)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Markers(Value):
     """Marker positions over frames.
 
     Attributes:
-        frames: of each frame, the position (3,) of every marker, metres, motion-capture frame; NaN where a marker was
+        frames: for each frame, the position (3,) of every marker, metres, motion-capture frame; NaN where a marker was
             not seen. Every frame has every marker.
         names: the markers, in the order in which they first occur.
         passed_over: number of markers, frames and rows in the file that were not read, by reason.
@@ -41,7 +41,7 @@ class Markers(Value):
 
 
 def states_its_units(path: str | Path) -> bool:
-    """Return whether a file is a vendor's export, which says its unit of length, and not the CSV of this package."""
+    """Return whether a file is a vendor's export, which states its unit of length, and not the CSV of this package."""
     if Path(path).suffix.lower() != ".csv":
         return True
     first = read_text(path).lstrip("\ufeff \r\n").partition("\n")[0]
@@ -52,16 +52,16 @@ def read_markers(path: str | Path, units: str = "m") -> Markers:
     """Read marker positions.
 
     A marker that was not seen is left out of its frame, or has empty or NaN coordinates. Rows without a marker's name
-    are passed over.
+    are skipped.
 
     Args:
         path: a CSV file whose first line names the columns frame, marker, x, y, z, in any order; or an export that
             `read_mocap` reads, whose frames are counted from 0.
-        units: of the coordinates: "m", "cm" or "mm"; an export states its own, and those count.
+        units: of the coordinates: "m", "cm" or "mm"; ignored for an export, which states its own.
 
     Raises:
         InputError: not readable, other columns, a frame that is not an integer, a coordinate that is not a number, a
-            marker twice in a frame or seen in part, or a size of a marker set that says the units are wrong.
+            marker twice in a frame or with one or two coordinates only, or markers as far apart as in wrong units.
     """
     if states_its_units(path):
         return _of_recording(read_mocap(path))
@@ -127,7 +127,7 @@ def _coordinate(where: str, text: str) -> float:
 
 
 def _check_extent(path: str | Path, frames: dict[int, dict[str, Floats]], units: str) -> None:
-    """Refuse marker sets whose size betrays another unit."""
+    """Refuse markers whose distances show that the unit is wrong."""
     for frame, markers in frames.items():
         positions = np.array(list(markers.values()))
         positions = positions[~np.isnan(positions).any(axis=1)]

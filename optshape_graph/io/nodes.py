@@ -1,4 +1,4 @@
-"""One value of a YAML or JSON document, with the place where it stands, for messages."""
+"""One value of a YAML or JSON document, with its place in the file for messages."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from optshape_graph.io.yaml_core import Key
 
 @dataclass(frozen=True)
 class Node:
-    """One value of a document, and where it stands.
+    """One value of a document, and its place in the file.
 
     Attributes:
         value: plain data.
         path: the file.
         key: keys and indices from the document's root to this value.
         lines: the line of each key, counted from 1; empty for JSON.
-        anywhere: whether the files that it names may be outside of its folder (see `place`).
+        anywhere: whether the files that it names may lie outside its folder (see `place`).
     """
 
     value: Any
@@ -39,7 +39,7 @@ class Node:
         return f"{self.path}{f':{line}' if line else ''}" + (f": {name}" if name else "")
 
     def fail(self, problem: str) -> NoReturn:
-        """Raise the error that this value has a problem.
+        """Raise an error that begins with the place of this value.
 
         Raises:
             InputError: always.
@@ -47,21 +47,21 @@ class Node:
         raise InputError(f"{self.where}: {problem}")
 
     def expected(self, what: str) -> NoReturn:
-        """Raise the error that something else was expected here."""
+        """Raise the error that something else was expected than this value."""
         self.fail(f"expected {what}, found {found_in_words(self.value)}")
 
     def at(self, key: str | int) -> Node:
-        """The value under a key or index that is known to be there."""
+        """Return the value under a key or index that is known to be there."""
         return Node(self.value[key], self.path, (*self.key, key), self.lines, self.anywhere)
 
     def entries(self) -> dict[str, Node]:
-        """The values of a mapping whose keys are names that the author chose."""
+        """Return the values of a mapping whose keys are names that the author chose."""
         if not isinstance(self.value, dict):
             self.expected("a mapping")
         return {key: self.at(key) for key in self.value}
 
     def fields(self, required: Iterable[str] = ()) -> dict[str, Node]:
-        """The values of a mapping that has some keys; others may be there too.
+        """Return the values of a mapping; keys beside the required ones are allowed.
 
         Raises:
             InputError: a required key is missing.
@@ -73,13 +73,13 @@ class Node:
         return entries
 
     def items(self) -> list[Node]:
-        """The values of a list."""
+        """Return the values of a list."""
         if not isinstance(self.value, list):
             self.expected("a list")
         return [self.at(i) for i in range(len(self.value))]
 
     def text(self) -> str:
-        """A text that is not empty."""
+        """Return this value, which must be a text that is not empty."""
         if not isinstance(self.value, str) or not self.value:
             self.expected("a text" + (" (put it in quotes)" if isinstance(self.value, bool | int | float) else ""))
         return self.value
@@ -98,7 +98,7 @@ class Node:
         return float(value)
 
     def numbers(self, *shape: int) -> Floats:
-        """An array of finite numbers (...), as they stand; -1 in `shape` stands for any length but zero.
+        """Return this value as an array of finite numbers (...); -1 in `shape` stands for any length but zero.
 
         Raises:
             InputError: another nesting, another length, or an element that is not a finite number.
@@ -116,15 +116,14 @@ class Node:
         return frozen(collect(self, shape))
 
     def place(self) -> Path:
-        """The path that this text is, whether or not there is a file; a relative one starts at the document's folder.
+        """Return this text as a path, whether or not there is a file; a relative one starts at the document's folder.
 
-        Unless files may be anywhere, a relative path must lead into that folder, or into the one above, where the
-        sessions of a campaign keep what they share (`../target.yaml`). What leads farther, by `..` or by a link, is
-        refused: it means another file when the folder is moved or copied. An absolute path says where it leads, and is
-        followed.
+        Unless files may be anywhere, a relative path must stay in that folder or in the one above, where the sessions
+        of a campaign keep what they share (`../target.yaml`). A path that leads farther, by `..` or by a link, is
+        refused, because it means another file once the folder is moved or copied. An absolute path is followed.
 
         Raises:
-            InputError: it is no text, or leads too far.
+            InputError: not a text, or a path that leads too far.
         """
         text = self.text()
         path = self.path.parent / text
@@ -136,7 +135,7 @@ class Node:
         return path
 
     def file(self) -> Path:
-        """The `place` of a file that exists."""
+        """Return the `place` of a file, which must exist."""
         path = self.place()
         if not is_file(path):
             self.fail(f"no such file: {path}")

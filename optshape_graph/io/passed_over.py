@@ -1,4 +1,4 @@
-"""What of the input was passed over: counted by where it was, and said in one way by every command."""
+"""Input that was skipped or not used: counted by source and reason, and reported alike by every command."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 UNUSABLE = "unusable file"
-"""Why a file is skipped: it cannot be read, or is not what it is given as."""
+"""Reason to skip a file that cannot be read, or is of another kind than expected."""
 
 
 @dataclass
 class PassedOver:
-    """Counts of what was not used.
+    """Counts of input that was not used.
 
     Attributes:
-        skipped: by what they are of ("scans", "images", "messages of /points", ...), and by reason, the number of
-            items that could not be used.
-        fields: by what they are of, and by their name, the number of items that had a field which is not used.
+        skipped: number of items that could not be used, by source ("scans", "images", "messages of /points", ...) and
+            by reason.
+        fields: number of items that had a field which is not used, by source and by the field's name.
     """
 
     skipped: dict[str, Counter[str]] = field(default_factory=dict)
@@ -28,12 +28,12 @@ class PassedOver:
         self.fields = {source: Counter(names) for source, names in self.fields.items()}
 
     def skip(self, source: str, reason: str, count: int = 1) -> None:
-        """Count items that could not be used; the reason is a few words without numbers."""
+        """Count items that could not be used; `reason` is a few words without numbers."""
         if count:
             self.skipped.setdefault(source, Counter())[reason] += count
 
     def unused(self, source: str) -> Counter[str]:
-        """Return the counter of a source's fields that are not used, to be added to."""
+        """Return the counter, by name, of a source's fields that are not used; the caller adds to it."""
         return self.fields.setdefault(source, Counter())
 
     def lines(self) -> list[str]:

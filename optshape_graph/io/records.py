@@ -1,7 +1,7 @@
-"""Dataclasses as plain data and back, whole: what a result is restored from.
+"""Records: dataclasses as plain data, from which they are restored whole.
 
-A record holds every field of a dataclass by its name. It is restored by the types that the class declares, never by
-what the file says: a file cannot choose what is made of it.
+A record holds every field of a dataclass by its name. The types that the class declares tell how to restore it: a file
+cannot choose which objects are made.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from optshape_graph.errors import InputError
 
 _NOT_FINITE = {"nan": float("nan"), "inf": float("inf"), "-inf": float("-inf")}
-"""Numbers that JSON has none for."""
+"""Numbers that JSON cannot write, and the texts that stand for them."""
 
 _CLASS = "is"
 """Key of a record that names its class."""
@@ -29,7 +29,7 @@ def to_record(value: Any) -> Any:
     """Return a value as plain data: dataclasses and named tuples, arrays, containers, text, numbers, None.
 
     Raises:
-        InputError: something else is in it.
+        InputError: a value of another type.
     """
     if value is None or isinstance(value, str | bool | int):
         return value
@@ -60,12 +60,12 @@ def from_record(kind: Any, data: Any, where: str) -> Any:
     """Restore a value.
 
     Args:
-        kind: its class, or the type that a field is declared with.
-        data: what `to_record` returned, perhaps by way of a file.
-        where: the file, and the place in it, for messages.
+        kind: its class, or the declared type of a field.
+        data: the record, as `to_record` returned it or a file held it.
+        where: the file and the place in it, for messages.
 
     Raises:
-        InputError: the data are none of that type.
+        InputError: data of another type.
     """
     origin, arguments = get_origin(kind), get_args(kind)
     if kind is Any:
@@ -126,7 +126,7 @@ def _instance(kind: type, data: Any, where: str) -> Any:
 
 
 def _one_of(kinds: Sequence[Any], data: Any, where: str) -> Any:
-    """Restore a value of one of several types: the class that the record names, or the first that fits."""
+    """Restore a value of one of several types: of the class that the record names, or of the first type that fits."""
     if isinstance(data, dict) and _CLASS in data:
         kinds = [kind for kind in kinds if getattr(kind, "__name__", "") == data[_CLASS]]
     problems = []
@@ -175,7 +175,7 @@ def _is_named_tuple(value: Any) -> bool:
 
 @cache
 def _names(kind: Any) -> tuple[str, ...]:
-    """Names of what a dataclass or named tuple is made of."""
+    """Return the names of the fields of a dataclass or named tuple."""
     if is_dataclass(kind):
         return tuple(field.name for field in fields(kind) if field.init)
     return tuple(kind._fields)

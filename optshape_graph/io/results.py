@@ -1,4 +1,4 @@
-"""Results: they print in a line, show themselves in a notebook, become tables, and are saved and loaded."""
+"""Results: printed in one line, shown in a notebook, turned into tables, saved and loaded."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ MOST_ROWS = 20
 """Rows that a notebook shows."""
 
 RECORD = "record"
-"""Key of a saved result under which all of it stands, for `load`."""
+"""Key of a saved result under which `load` finds all of it."""
 
 
 class Result(Value):
     """Base of the results of estimation, detection, calibration and mapping: frozen dataclasses.
 
     Attributes:
-        FORM: kind of the file that it is saved as: `optshape/<FORM>/1`.
+        FORM: kind of the file that it is saved in: `optshape/<FORM>/1`.
     """
 
     FORM: ClassVar[str]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as plain data, with the keys that its file has."""
+        """Return the result as plain data, with the keys of its file."""
         raise NotImplementedError
 
     def rows(self) -> list[Row]:
@@ -51,7 +51,7 @@ class Result(Value):
         return dataframe(self.rows())
 
     def save(self, path: str | Path) -> None:
-        """Write the result as JSON: what the command writes, and under `record` all that `load` needs.
+        """Write the result as JSON: the same as the command writes, and all that `load` needs under `record`.
 
         Args:
             path: of the file; `optshape view` shows it.
@@ -79,7 +79,7 @@ class Result(Value):
         return result
 
     def _document(self) -> dict[str, Any]:
-        """What the file holds."""
+        """Return the content of the file."""
         return {"schema": f"optshape/{self.FORM}/1", **self.to_dict(), RECORD: to_record(self)}
 
     def _repr_html_(self) -> str:
@@ -100,7 +100,7 @@ def dataframe(rows: Sequence[Mapping[str, Any]]) -> pandas.DataFrame:
 
 
 def html_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the first rows as an HTML table, names from data as text."""
+    """Return the first rows as an HTML table; names that come from data are plain text in it."""
     columns = list(dict.fromkeys(name for row in rows[:MOST_ROWS] for name in row))
     if not columns:
         return ""
@@ -114,9 +114,9 @@ def html_table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def picture(result: object) -> str:
-    """Return the picture of a result as HTML; empty where there is none, or no matplotlib.
+    """Return the picture of a result as HTML; empty if there is none, or no matplotlib.
 
-    Pictures are above this layer, so they are looked for by name, when a notebook asks.
+    Pictures belong to a layer above, so that layer is imported by its name, when a notebook asks.
     """
     try:
         notebook = importlib.import_module("optshape_graph.viz.notebook")

@@ -1,18 +1,19 @@
 """JSON Schemas (draft 2020-12) of every file form, published with the package: `data/schemas/KIND-VERSION.schema.json`.
 
-Each is the one description of its form: what may stand in a file, with units and frames. The readers check with it
-(`validation`) and then what it can't say (files that exist, polygons that are convex); the documentation's tables are
-made from it; what commands write is held against it by the tests. YAML files are validated as the plain data they hold.
-Results, which others read, may carry more keys than their schema names.
+A schema is the only description of its form: the keys of a file, with units and frames. The readers check files with it
+(`validation`), and then check what a schema cannot say (that files exist, that polygons are convex). The tables of the
+documentation are made from it, and the tests check what commands write against it. YAML files are validated as plain
+data. Results, which others read, may carry more keys than their schema names.
 
 Versions. A file says `schema: optshape/KIND/VERSION`.
 
-- The version stays while every file that was good stays good and means the same. So an optional key may be added, and a
-  key may be added to a result.
-- It rises by one where a key goes, becomes required, or changes its meaning, its unit, its frame or its type.
-- A reader refuses another version than its own by name, and says which one it reads: it does not guess. Older versions
-  are read as long as a reader of them is kept; their schemas stay published.
-- A reader of results takes those of its version, and does not mind keys that it does not know.
+- The version stays as long as every valid file stays valid and keeps its meaning. So an optional key may be added, and
+  so may a key of a result.
+- The version rises by one if a key is removed, becomes required, or changes its meaning, its unit, its frame or its
+  type.
+- A reader refuses a version other than its own, and states the one that it reads. Older versions are read as long as a
+  reader for them is kept; their schemas stay published.
+- A reader of results ignores keys that it does not know.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ def schema_names() -> list[str]:
 
 
 def load_schema(name: str) -> dict[str, Any]:
-    """Return a form's JSON Schema as plain data, to validate with any library that knows draft 2020-12.
+    """Return the JSON Schema of a form as plain data, for any library that knows draft 2020-12.
 
     Args:
-        name: KIND ("target"), KIND-VERSION ("target-1"), or what files say ("optshape/target/1"); without a version,
+        name: KIND ("target"), KIND-VERSION ("target-1"), or as files state it ("optshape/target/1"); without a version,
             the newest.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Which built-in sensor made a cloud: told by the elevations of its returns."""
+"""Guess which built-in sensor made a cloud, from the elevations of its returns."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
 
 FEWEST_RINGS = 4
-"""Rings that tell a table."""
+"""Fewer rings do not identify a table."""
 
 CHANCE = 0.25
-"""Share of the misfit that elevations which have nothing to do with a table have: below it, the table fits."""
+"""A table fits if its misfit is below this fraction of the misfit of unrelated elevations."""
 
 CLEAR = 2.0
-"""By this factor the next table fits worse, or the guess is none."""
+"""The next best table must fit worse by this factor; otherwise there is no guess."""
 
 SMALLEST = np.radians(0.005)
-"""Misfits below this are alike: coordinates are rounded, rad."""
+"""Misfits below this, rad, count as equal, since coordinates are rounded."""
 
 FARTHEST_OFF = np.radians(0.5)
-"""A table that is no nearer says nothing about the sensor, rad."""
+"""A table with a larger misfit, rad, tells nothing about the sensor."""
 
 OCCUPIED = 0.9
-"""Share of the rows between the lowest and the highest that returns of a cloud without rings must be in."""
+"""Fraction of a table's rows, from the lowest to the highest seen, that must have returns in a cloud without rings."""
 
 
 @dataclass(frozen=True)
 class Guess:
-    """What the elevations say.
+    """The guess that the elevations allow.
 
     Attributes:
-        sensor: the built-in one whose table fits; None: none does, or several do.
-        misfits: degrees, root mean square, by the names of the tables that come into question, the best first.
+        sensor: the built-in sensor whose table fits; None: none fits, or several do.
+        misfits: root mean square misfit in degrees, by the name of each candidate table, the best first.
     """
 
     sensor: SensorModel | None
     misfits: dict[str, float]
 
     def __str__(self) -> str:
-        """Say it in a few words."""
+        """Return the guess in a few words."""
         if self.sensor is not None:
             return f"{self.sensor.name} (elevations within {next(iter(self.misfits.values())):.3f} deg of its table)"
         if not self.misfits:
@@ -56,7 +56,7 @@ def guess_sensor(scan: Scan) -> Guess:
     """Compare a cloud's elevations with all built-in tables.
 
     Args:
-        scan: with rings, or of a sensor with rings that the cloud does not name; read without a sensor.
+        scan: read without a sensor; its cloud may have rings, or not.
     """
     elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
     found: list[tuple[float, bool, str]] = []
@@ -74,7 +74,7 @@ def guess_sensor(scan: Scan) -> Guess:
 
 
 def _of_rings(ring: Ints, elevation: Floats, sensor: SensorModel) -> float | None:
-    """Misfit of the rings' medians to the rows they are nearest to, rad; None: another number or spacing of rings."""
+    """Return the misfit, rad, of the rings' medians to their nearest rows; None: another number or spacing of rings."""
     present = np.unique(ring)
     if not FEWEST_RINGS <= len(present) <= sensor.n_rings:
         return None
@@ -90,7 +90,7 @@ def _of_rings(ring: Ints, elevation: Floats, sensor: SensorModel) -> float | Non
 
 
 def _of_elevations(elevation: Floats, sensor: SensorModel) -> float | None:
-    """Misfit of all returns to the rows they are nearest to, rad; None: too many rows are empty."""
+    """Return the misfit, rad, of all returns to their nearest rows; None: too many rows are empty."""
     rows = sensor.nearest_ring(elevation)
     occupied = np.unique(rows)
     if len(occupied) < FEWEST_RINGS or len(occupied) < OCCUPIED * (np.ptp(occupied) + 1):

@@ -1,4 +1,4 @@
-"""Session files: `schema: optshape/session/1`. Which scans, images and marker frames belong together."""
+"""Session files, `schema: optshape/session/1`: which scans, images and marker frames belong together."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from optshape_graph.target import Target
 T = TypeVar("T")
 
 MOCAP = "mocap"
-"""Name of the motion capture's own frame, as a sensor."""
+"""Name of the motion capture's own frame, where it counts as a sensor."""
 
 SMALLEST_BODY_M = 0.01
-"""How far the markers of a body must spread about a line, metres."""
+"""The markers of a body must spread this far from a line, metres."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class View:
         camera: which of the session's cameras made `image`, or None.
         image: the image's file, or None.
         target_points: a file with the target's returns, cropped by hand, or None.
-        stamp: seconds, on the session's clock, or None; of a view that is `moving`, on its sensor's.
+        stamp: seconds, or None; on the session's clock, or on the sensor's if the view is `moving`.
         mocap_frame: the frame of the markers, or None.
         corners: a CSV file with rough pixels of the vertices of an unpatterned target in `image`, or None.
         moving: whether the target, or the platform, moves while the view is taken.
-        where: file, line and key of the view, as messages begin.
+        where: file, line and key of the view, with which messages begin.
     """
 
     scan: Path | None
@@ -80,10 +80,10 @@ class Mocap(Value):
 
     Attributes:
         markers: positions by frame and marker.
-        vertices: of a marker, its target and the index of the vertex that it is near. Filled from the session's map;
-            or, without a map, where the session has one target and its markers are called corner0, corner1, ...; else
-            empty: markers are to be assigned by shape.
-        bodies: rigid bodies on the platform: of each the places (3,) of its markers in its frame, metres, by name.
+        vertices: by marker, the target and the index of the vertex that it is near. Taken from the session's map; or,
+            without a map, from the names of the markers, if the session has one target and they are called corner0,
+            corner1, ...; else empty: the markers are assigned by shape.
+        bodies: by name, the rigid bodies on the platform: positions (3,) of the markers of each in its frame, metres.
     """
 
     markers: Markers
@@ -93,10 +93,10 @@ class Mocap(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class About(Value):
-    """About where a sensor is in another's frame.
+    """A rough pose of a sensor in another's frame.
 
     Attributes:
-        a: name of the one.
+        a: name of one sensor.
         b: name of the other.
         T_a_b: (4, 4).
     """
@@ -122,7 +122,7 @@ class Session(Value):
         mocap: motion capture, if there is any.
         static: names of the targets that stay where they are, in the world, in all views.
         platform_moves: whether what carries the sensors moves from view to view.
-        initial: about where sensors are, as far as the file says.
+        initial: rough poses of sensors, as far as the file states them.
     """
 
     name: str
@@ -138,16 +138,16 @@ class Session(Value):
 
 
 def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
-    """Read a session and what it names: sensors, targets, intrinsics, markers. Scans and images stay files.
+    """Read a session, and the sensors, targets, intrinsics and markers that it names. Scans and images stay files.
 
-    Paths start at the session's folder. The short form has `sensor`, `target`, `camera`; the general form `lidars`,
-    `targets`, `cameras`, and each view says which it means (what there is only one of may be left out; without
-    `targets`, any may be in view).
+    Paths start at the session's folder. The short form has `sensor`, `target`, `camera`. The general form has `lidars`,
+    `targets`, `cameras`, and each view names those that it means; it need not if there is only one, and without
+    `targets` any target may be in view.
 
     Args:
         path: the session's file.
         allow_outside: whether relative paths may lead farther than into the session's folder and the one above, by
-            `..` or by a link. Absolute paths may always: they say where they lead.
+            `..` or by a link. Absolute paths always may.
 
     Raises:
         InputError: not readable; a missing, unknown or wrong key; a file that is missing or wrong; a LiDAR, camera,
@@ -178,14 +178,14 @@ def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
 
 
 def sensors_of(mocap: Mocap | None) -> tuple[str, ...]:
-    """Return the names by which motion capture is a sensor: its bodies; without, "mocap", its own frame."""
+    """Return the names of motion capture as sensors: its bodies or, without any, "mocap", its own frame."""
     return () if mocap is None else tuple(mocap.bodies) or (MOCAP,)
 
 
 def _named(
     fields: Mapping[str, Node], one: str, several: str, read: Callable[[Node], T], name: Callable[[T], str]
 ) -> dict[str, T]:
-    """What the short key or the mapping of the general form names; empty where there is neither."""
+    """Return what the short key, or the mapping of the general form, names; empty if there is neither."""
     if one in fields:
         item = read(fields[one])
         return {name(item): item}
@@ -193,7 +193,7 @@ def _named(
 
 
 def _loaded(node: Node, load: Callable[[str, Path], T], names: Sequence[str]) -> T:
-    """What a built-in name or path leads to, its errors with the line that gave the path."""
+    """Load what a built-in name or path stands for; errors begin with the line that names it."""
     if node.text().partition("@")[0] not in names:
         node.place()
     try:
@@ -319,7 +319,7 @@ def _known(node: Node, marker: str, markers: Markers) -> None:
 
 
 def _corners(markers: Markers, targets: Mapping[str, Target]) -> dict[str, tuple[str, int]]:
-    """Markers called corner0, corner1, ... of the one target; empty if some are missing and others are there."""
+    """Return the vertices of markers called corner0, corner1, ..., if there is one target and none is missing."""
     if len(targets) != 1:
         return {}
     ((name, target),) = targets.items()

@@ -1,4 +1,4 @@
-"""Times: the unit of a number that counts from 1970 or from anywhere, told by its size and by what a scan takes."""
+"""Times of unknown units: since 1970 the size of the number tells the unit, otherwise the duration of the scan."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 from optshape_graph._arrays import Floats
 
 TICKS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
-"""A time from here on counts this many units a second: as seconds it would be after the year 5000."""
+"""Pairs: a time of at least the first number has the second number of units a second; as seconds it would be after
+5000."""
 
 EPOCH_S = 1e9
-"""Seconds since 1970 are more than this (2001)."""
+"""Seconds since 1970 exceed this (2001)."""
 
 LONGEST_SCAN_S = 10.0
-"""A scan lasts less; what would last longer is in a smaller unit of time."""
+"""A scan is shorter; times that would make it longer are in a smaller unit."""
 
 REVOLUTION_S = (0.02, 1.2)
-"""What a revolution takes, from the fastest to the slowest spinning LiDAR: 50 to 0.8 Hz."""
+"""Seconds that a revolution takes, from the fastest to the slowest spinning LiDAR: 50 to 0.8 Hz."""
 
 LEAST_SWEEP = np.radians(1.0)
 """Azimuth that a scan must sweep to tell how long a revolution takes, rad."""
@@ -32,14 +33,14 @@ _UNITS = (1.0, 1e-3, 1e-6, 1e-9)
 
 
 def ticks_per_second(time: float) -> float:
-    """Return 1e9, 1e6, 1e3 or 1: whether an epoch time is in ns, us, ms or s. What is smaller is in seconds."""
+    """Return 1e9, 1e6, 1e3 or 1 for a time in ns, us, ms or s since 1970; a smaller number counts as seconds."""
     return next((ticks for smallest, ticks in TICKS if abs(time) >= smallest), 1.0)
 
 
 def parse_stamp(word: str) -> float | None:
-    """Return a stamp in seconds: of seconds, of an epoch in ms, us or ns, or of a date (UTC unless it says).
+    """Return a stamp in seconds from a word with seconds, with ms, us or ns since 1970, or with a date.
 
-    None: it is no stamp.
+    A date without a time zone is UTC. None: the word is not a stamp.
     """
     try:
         value = float(word)
@@ -47,7 +48,7 @@ def parse_stamp(word: str) -> float | None:
         return _date(word)
     if not abs(value) < 1e20:
         return None
-    if word.isdecimal() and ticks_per_second(value) > 1:  # whole: a float would lose its nanoseconds
+    if word.isdecimal() and ticks_per_second(value) > 1:  # as integers, since a float would lose nanoseconds
         ticks = int(ticks_per_second(value))
         whole, part = divmod(int(word), ticks)
         return whole + part / ticks
@@ -65,21 +66,21 @@ def _date(word: str) -> float | None:
 def seconds_of_points(
     time: NDArray[Any], unit: float | None, stamp: float | None, points: Floats | None
 ) -> Floats | None:
-    """Return per-point times (N,) as seconds (N,) relative to the scan's stamp; None: they are no times.
+    """Return per-point times (N,) as seconds (N,) relative to the scan's stamp; None: the numbers are not times.
 
-    Times since the epoch are told by their size: about 1e18 are nanoseconds, 1e15 microseconds, 1e12 milliseconds, and
-    1e9, as floats, seconds. They are counted from `stamp`, or from the earliest. Smaller numbers are relative to the
-    stamp already. Where nothing says their unit, integers are nanoseconds (as Ouster's and Livox's drivers write
-    them); floats are seconds unless the scan would last more than `LONGEST_SCAN_S`, then milli-, micro- or nanoseconds,
-    the largest unit in which it does not; if that unit makes a revolution that no LiDAR has (`REVOLUTION_S`), and
-    exactly one other makes one, it is the other. Where even relative times are far from the stamp they are of a clock
-    of their own, and counted from the earliest.
+    - Times since 1970 show their unit by their size: about 1e18 are nanoseconds, 1e15 microseconds, 1e12 milliseconds,
+      and 1e9, as floats, seconds. They are counted from `stamp`, or from the earliest.
+    - Smaller numbers are relative to the stamp. If `unit` is None, integers are nanoseconds, as Ouster's and Livox's
+      drivers write them. Floats are in the largest of seconds, milli-, micro- and nanoseconds in which the scan lasts
+      no more than `LONGEST_SCAN_S`; but if a revolution would take impossibly long or short in it (`REVOLUTION_S`), and
+      a possible time in exactly one other unit, they are in that one.
+    - Relative times that are far from the stamp come from another clock; they are counted from the earliest.
 
     Args:
         time: (N,) of any numeric type, in `unit`, or in seconds, milli-, micro- or nanoseconds.
-        unit: in seconds, where the source says it.
+        unit: in seconds, if the source states it.
         stamp: the scan's, seconds since 1970, if known.
-        points: (N, 3) metres, LiDAR frame, whose azimuths tell the revolution; None: not looked at.
+        points: (N, 3) metres, LiDAR frame, whose azimuths tell the time of a revolution; None: this test is left out.
     """
     floating = time.dtype.kind == "f"
     first, last = time.min(), time.max()
@@ -102,7 +103,7 @@ def seconds_of_points(
 
 
 def _scaled(time: NDArray[Any], first: np.generic | None, unit: float) -> Floats:
-    """Times (N,) from the first on, in seconds; integers are subtracted as integers: a float would lose nanoseconds."""
+    """Return times (N,) in seconds since the first. Integers are subtracted as such: a float would lose nanoseconds."""
     seconds = (time if first is None else time - first).astype(np.float64)
     if unit != 1:
         seconds *= unit
@@ -110,7 +111,7 @@ def _scaled(time: NDArray[Any], first: np.generic | None, unit: float) -> Floats
 
 
 def _unit_of_floats(duration: float, points: Floats | None) -> float:
-    """The largest unit in which the scan is short enough, or the only one in which a revolution takes what it takes."""
+    """Return the largest unit in which the scan is short enough, or the only one with a possible revolution."""
     unit = next((u for u in _UNITS if duration * u <= LONGEST_SCAN_S), _UNITS[-1])
     if points is None or not duration:
         return unit
@@ -123,7 +124,7 @@ def _unit_of_floats(duration: float, points: Floats | None) -> float:
 
 
 def _swept(points: Floats) -> float:
-    """The circle without the largest gap between azimuths, rad, to within `AZIMUTH_BIN`."""
+    """Return the angle, rad, that azimuths sweep, the circle less their largest gap, to within `AZIMUTH_BIN`."""
     n = round(2 * np.pi / AZIMUTH_BIN)
     azimuth = np.arctan2(points[:, 1], points[:, 0], dtype=np.float32)
     azimuth *= n / (2 * np.pi)

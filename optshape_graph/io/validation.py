@@ -1,9 +1,9 @@
 """Check a document against the schema of its form, with messages that name file, line and key.
 
 The published JSON Schemas are the only description of this package's forms: the documentation's tables are made from
-them, and the readers check with this module. It knows the keywords that the schemas of the forms that are read use
-(`KEYWORDS`). The library jsonschema knows them all, and the tests compare with it; but importing it takes as long as
-importing GTSAM, and its messages would have to be worded anew all the same.
+them, and the readers check with this module. It knows the keywords that the schemas of input files use (`KEYWORDS`).
+The library jsonschema knows all keywords, and the tests compare with it; but importing it takes as long as importing
+GTSAM, and its messages would have to be reworded.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from optshape_graph.io.yaml_core import Key
 
 Schema = Mapping[str, Any]
 Problem = tuple[Key, str]
-"""Where something is wrong, from the document's root, and what."""
+"""The place of an error, from the document's root, and what is wrong there."""
 
 LARGEST_NUMBER = 1e300
-"""Larger numbers count as not finite: their squares are."""
+"""Larger numbers count as not finite, since their squares are not."""
 
 
 def check(root: Node, schema: Schema) -> None:
     """Check a document against a schema.
 
     Raises:
-        InputError: it does not fit; the message names the first place where it does not, and what was expected there.
+        InputError: it does not fit; the message names the first such place and what was expected there.
     """
     for key, problem in _problems(root.value, schema, schema, ()):
         node = root
@@ -68,7 +68,7 @@ def _type(value: Any, wanted: str | list[str], schema: Schema, _root: Schema, ke
 
 
 def _in_words(name: str, schema: Schema) -> str:
-    """A type with the bounds that the schema puts on it."""
+    """Return a type in words, with the bounds that the schema sets."""
     if name not in ("number", "integer"):
         return {"object": "a mapping", "array": "a list", "string": "a text", "boolean": "true or false",
                 "null": "null"}[name]  # fmt: skip
@@ -87,7 +87,7 @@ _BOUNDS = (
     ("of at most {:g}", "maximum"),
     ("below {:g}", "exclusiveMaximum"),
 )
-"""How a number's bounds are said: the words, and the keywords that they are of."""
+"""Words for the bounds of a number, and the keywords whose values they state."""
 
 
 def _bound(holds: Callable[[float, float], bool]) -> Rule:
@@ -186,7 +186,7 @@ def _min_properties(value: Any, least: int, _schema: Schema, _root: Schema, key:
 
 
 def _any_of(value: Any, forms: list[Schema], _schema: Schema, root: Schema, key: Key) -> Iterator[Problem]:
-    """Of forms of different types the one of the value's type says what is wrong; of required keys, any will do."""
+    """Check alternatives: the one of the value's type reports errors; of those that require keys, any will do."""
     if any(_fits(value, form, root) for form in forms):
         return
     if all("required" in form and "type" not in form for form in forms):
@@ -202,7 +202,7 @@ def _any_of(value: Any, forms: list[Schema], _schema: Schema, root: Schema, key:
 
 
 def _one_of(value: Any, forms: list[Schema], _schema: Schema, root: Schema, key: Key) -> Iterator[Problem]:
-    """Of keys that stand for each other, one."""
+    """Check that exactly one of several keys is there."""
     if sum(_fits(value, form, root) for form in forms) != 1:
         names = [form["required"][0] for form in forms]
         there = [name for name in names if name in value]

@@ -41,8 +41,8 @@ def parse_yaml(path: str | Path, text: str, foreign: bool = False) -> tuple[Any,
     Args:
         path: the file, for messages.
         text: its content.
-        foreign: of another program: tags, anchors without aliases, and the first line that OpenCV writes
-            (`%YAML:1.0`, which no version of YAML has) are passed over.
+        foreign: whether another program wrote it; then tags, anchors without aliases, and the first line that OpenCV
+            writes (`%YAML:1.0`, which no version of YAML has) are ignored.
 
     Raises:
         InputError: not YAML, empty, several documents, or with a feature that is refused.
@@ -59,7 +59,7 @@ def dump_yaml(value: Mapping[str, Any]) -> str:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Puts text in quotes that `parse_yaml`, or a reader of YAML 1.1, would take for something else."""
+    """Writes text in quotes if `parse_yaml`, or a reader of YAML 1.1, would take it for something else."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -70,7 +70,7 @@ _Dumper.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+.012345
 
 
 class _Builder:
-    """Plain data of the parser's events, and the lines that they came from."""
+    """Makes plain data of the parser's events, and notes their lines."""
 
     def __init__(self, path: Path, text: str, foreign: bool) -> None:
         self.path, self.foreign = path, foreign
@@ -94,7 +94,7 @@ class _Builder:
         except yaml.MarkedYAMLError as error:
             line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
             problem = " ".join(part for part in (error.context, error.problem) if part)
-            if "nesting depth" in problem:  # libyaml's own limit, where it has one, comes before the one here
+            if "nesting depth" in problem:  # libyaml's own limit, if it has one, comes first
                 raise InputError(f"{self.path}{line}: nested more than {DEEPEST} levels deep") from error
             raise InputError(f"{self.path}{line}: not YAML ({problem})") from error
         except yaml.YAMLError as error:

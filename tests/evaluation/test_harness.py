@@ -46,7 +46,7 @@ def test_dask_scheduler_with_two_worker_processes_gives_the_same(tmp_path):
 
 def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("optshape_graph.runs.workers.SCHEDULER_TIMEOUT_S", 1)
+    monkeypatch.setattr("optshape_graph.runs.cluster.SCHEDULER_TIMEOUT_S", 1)
     with pytest.raises(OptshapeError, match=r"127\.0\.0\.1:1"):
         run_tasks(draw, TASKS, tmp_path, DESCRIBE, pool=Pool(dask="tcp://127.0.0.1:1"))
 

@@ -114,8 +114,8 @@ def workers_among(children: Path) -> list[str]:
 
 
 def test_workers_that_cannot_start_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("optshape_graph.runs.workers._serve", os.abort)
-    monkeypatch.setattr("optshape_graph.runs.workers.MOST_DEATHS", 2)
+    monkeypatch.setattr("optshape_graph.runs.processes._serve", os.abort)
+    monkeypatch.setattr("optshape_graph.runs.processes.MOST_DEATHS", 2)
     with pytest.raises(OptshapeError, match="workers end before they begin"):
         dict(Pool(2).run(square, numbered(50)))
 

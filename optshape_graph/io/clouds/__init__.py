@@ -1,4 +1,4 @@
-"""Clouds in and out: files and messages of every form become one `Scan`."""
+"""Reading and writing of clouds: files and messages of every form become one `Scan`."""
 
 from optshape_graph.io.clouds.columns import Columns
 from optshape_graph.io.clouds.files import ENDINGS, read_columns, read_scan, write_scan

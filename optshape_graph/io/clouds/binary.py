@@ -1,4 +1,4 @@
-"""Clouds without any header: 32-bit floats as KITTI and nuScenes publish them."""
+"""Clouds without a header: 32-bit floats, as KITTI and nuScenes publish them."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ NUSCENES = (*KITTI, "ring")
 (nuscenes-devkit, LidarPointCloud.from_file)."""
 
 FARTHEST_M = 1e4
-"""Beyond are no floats of a LiDAR's."""
+"""A LiDAR measures no coordinates beyond this, metres; larger numbers show that the layout is another."""
 
 
 def read_binary(path: str | Path, names: tuple[str, ...] | None = None) -> Columns:
-    """Return the columns of a file of little-endian 32-bit floats and nothing else.
+    """Return the columns of a file that consists of little-endian 32-bit floats.
 
-    Five values to a return are told from four by their fifth, an integer from 0 to 255; or by the ending `.pcd.bin`.
+    A return has five values if the fifth is always an integer from 0 to 255, or the ending is `.pcd.bin`; else four.
 
     Args:
         path: the file.
-        names: of the values of a return, in order; None: as KITTI or nuScenes have them.
+        names: of the values of a return, in order; None: those of KITTI or nuScenes.
 
     Raises:
-        InputError: not readable, not of whole returns, or of numbers that no LiDAR measures.
+        InputError: not readable, a return that is cut off, or numbers that no LiDAR measures.
     """
     data = read_bytes(path)
     if len(data) % 4 or not data:

@@ -1,4 +1,4 @@
-"""What a cloud's file holds before it is understood, named columns; and the names by which columns are known."""
+"""Named columns, as a cloud's file holds them, and the names that tell what a column is."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Columns(Value):
         height: rows of an organised cloud, stored row by row; 1: not organised.
         name: the source, for messages.
         fired: whether the points are in the order in which the sensor's beams swept, one beam after the other (KITTI).
-        left_out: names of what the source has beside these and no column can hold (descriptors, Python objects).
+        left_out: names of what the source holds and no column can (descriptors, Python objects).
     """
 
     values: dict[str, NDArray[np.generic]]
@@ -39,7 +39,7 @@ class Role:
 
     Attributes:
         column: its name, as recorded.
-        unit: SI units per unit of its values, where the name says it: 1e-3 of `X (mm)`; None: it doesn't.
+        unit: SI units per unit of its values, if the name states it: 1e-3 for `X (mm)`; else None.
     """
 
     column: str
@@ -64,7 +64,7 @@ KNOWN: Mapping[str, tuple[str, ...]] = {
              "gpstime"),
     "tag": ("tag",),
 }  # fmt: skip
-"""Names of columns, as `plain` leaves them; where several occur the first of a row counts."""
+"""Names of columns for each role, as `plain` returns them; if a cloud has several, the first in the row counts."""
 
 _LENGTHS = {"m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0, "cm": 1e-2, "mm": 1e-3,
             "millimeters": 1e-3, "millimetres": 1e-3, "in": 0.0254, "ft": 0.3048, "feet": 0.3048}  # fmt: skip
@@ -74,16 +74,16 @@ _TIMES = {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "ms"
 _BRACKETED = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*\Z")
 _ENDING = re.compile(r"(.+)_([a-z]{1,4})(_xyz:\d)?\Z", re.IGNORECASE)
 _UNITS_OF_MAKERS = {"adjustedtime": 1e-6}
-"""Units that a name stands for without saying so: VeloView's microseconds."""
+"""Units that a name implies without stating them: VeloView's microseconds."""
 
 
 def plain(name: str) -> str:
-    """Return a name without its case, quotes, separators and the prefix that CloudCompare puts before it."""
+    """Return a name in lower case, without quotes, separators and CloudCompare's prefix."""
     return re.sub(r"[^a-z0-9]", "", name.lower().removeprefix("scalar_").removeprefix("scalar field"))
 
 
 def roles(names: Iterable[str]) -> dict[str, Role]:
-    """Return what is known of some columns, by `KNOWN`'s words.
+    """Return the columns whose role is known, by the roles in `KNOWN`.
 
     Raises:
         InputError: a length in a unit that is not known.
@@ -104,7 +104,7 @@ def _words() -> frozenset[str]:
 
 
 def _parsed(name: str) -> tuple[str, float | None]:
-    """A column's plain name, and SI units per unit of it where it says so: `X (mm)`, `time_us`, `points_m_XYZ:0`."""
+    """Return a column's plain name, and its unit in SI units if stated: `X (mm)`, `time_us`, `points_m_XYZ:0`."""
     stripped = name.strip().strip('"').strip()
     for pattern in (_BRACKETED, _ENDING):
         if found := pattern.match(stripped):

@@ -1,4 +1,4 @@
-"""Cloud files: which reader a file needs, told by what it begins with, or else by its ending."""
+"""Cloud files: the first bytes of a file, or else its ending, tell which reader it needs."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def form_of(path: str | Path) -> str:
 
 
 def read_columns(path: str | Path, names: Sequence[str] | None = None) -> Columns:
-    """Return what a cloud's file holds, as recorded; see `read_scan` for the forms.
+    """Return the columns of a cloud's file, as recorded; see `read_scan` for the forms.
 
     Raises:
         InputError: as `read_scan`.
@@ -92,19 +92,20 @@ def read_scan(
     columns: Sequence[str] | None = None,
     unused: Counter[str] | None = None,
 ) -> Scan:
-    """Read a cloud's file; see `make_scan` for what becomes of its columns.
+    """Read a scan from a cloud's file; see `make_scan` for how columns become a scan.
 
-    PCD (ascii, binary, binary_compressed), PLY, NPZ and NPY, text (CSV of whatever separator, VeloView, Ouster Studio,
-    CloudCompare), KITTI's `.bin`, nuScenes' `.pcd.bin`, LAS and LAZ, E57.
+    The forms are PCD (ascii, binary, binary_compressed), PLY, NPZ and NPY, text (CSV with any separator, VeloView,
+    Ouster Studio, CloudCompare), KITTI's `.bin`, nuScenes' `.pcd.bin`, LAS and LAZ, E57.
 
     Args:
         path: the file.
         sensor: the sensor that made it, if known.
-        columns: names of a file's columns that has none (text, floats, a NumPy array), in order; "_" passes one over.
-        unused: counts the names of columns that the scan does not have.
+        columns: names of the columns, in order, for a file without names (text, floats, a NumPy array); "_" skips one.
+        unused: counter, by name, of columns that do not go into the scan.
 
     Raises:
-        InputError: a form that is not known, a file that is not what it seems, or columns that make no scan.
+        InputError: an unknown form, a file that is damaged or of another form than it seems, or columns that do not
+            make a scan.
         MissingExtraError: the library for LAS or E57 is absent.
     """
     expect("path", path, str, Path)

@@ -1,4 +1,4 @@
-"""Decompression of LibLZF's format, which PCD files of kind binary_compressed use: by LibLZF where it is installed.
+"""Decompression of LibLZF's format, which binary_compressed PCD files use; LibLZF itself does it where installed.
 
 The format: a control byte below 32 is followed by that many literal bytes plus one; any other holds in its upper
 three bits the length of a copy, minus two (seven: one more byte is added), and in the lower five the high bits of the
@@ -12,14 +12,14 @@ import importlib.util
 from optshape_graph.errors import InputError
 
 _LARGEST_COPY = 264
-"""Bytes that three compressed ones can make."""
+"""Bytes that three compressed bytes can expand to."""
 
 
 def lzf_decompress(data: bytes, size: int) -> bytes:
-    """Return the `size` bytes that `data` was made of.
+    """Return the `size` bytes that `data` expands to.
 
     Raises:
-        InputError: the data are damaged, or make another number of bytes.
+        InputError: the data are damaged, or expand to another number of bytes.
     """
     if size > len(data) * _LARGEST_COPY // 3 + _LARGEST_COPY:
         raise InputError(f"{len(data)} compressed bytes cannot make {size}")
@@ -36,7 +36,7 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
 
 
 def decompress_slowly(data: bytes, size: int) -> bytes:
-    """Return the same without the library: some fifty times slower, and it says what is damaged.
+    """Return the same as `lzf_decompress` without the library: fifty times slower, but errors say what is damaged.
 
     Raises:
         InputError: as `lzf_decompress`.
@@ -61,7 +61,7 @@ def decompress_slowly(data: bytes, size: int) -> bytes:
                 raise InputError(f"damaged compressed data: a copy from {-start} bytes before the beginning")
             if distance >= length:
                 out += out[start : start + length]
-            else:  # the copy reads what it writes: a repetition
+            else:  # the copy overlaps what it writes: a repetition
                 pattern = bytes(out[start:])
                 out += (pattern * (length // distance + 1))[:length]
     except IndexError as error:

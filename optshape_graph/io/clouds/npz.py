@@ -1,4 +1,4 @@
-"""NPZ and NPY files: NumPy arrays, named or structured, never pickled ones."""
+"""NPZ and NPY files: NumPy arrays, named or structured, never pickled."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from optshape_graph.io.files import LARGEST_FILE, read_bytes
 _LOG = logging.getLogger(__name__)
 
 WIDEST = 32
-"""Columns that a table without names may have."""
+"""Columns that a table without names has at most."""
 
 LARGEST_RATIO = 50
-"""Bytes that a compressed one may become, beyond `SMALL` in all: noise hardly compresses, and every scan has noise."""
+"""Bytes that a compressed byte may expand to, beyond `SMALL` in all: a scan has noise, which hardly compresses."""
 
 SMALL = 64 << 20
 
@@ -36,18 +36,18 @@ _DAMAGE = (
     struct.error,
     EOFError,
     OSError,
-    RuntimeError,  # of zipfile: encrypted, or compressed in a way that it does not know
+    RuntimeError,  # from zipfile: encrypted, or an unknown compression
     ValueError,
     TypeError,
     SyntaxError,
-    tokenize.TokenError,  # of a header that NumPy takes for one written by Python 2
+    tokenize.TokenError,  # from a header that NumPy takes for one of Python 2
     OverflowError,
 )
-"""What zipfile and NumPy raise for an archive or a header that is not what it should be."""
+"""Exceptions of zipfile and NumPy for a damaged archive or header."""
 
 
 def read_npz(path: str | Path) -> Columns:
-    """Return the arrays of an NPZ file; the fields of structured ones, each as a column.
+    """Return the arrays of an NPZ file as columns; each field of a structured array is a column.
 
     Raises:
         InputError: not readable, not an NPZ file, points of Python objects (which would have to be unpickled), or an
@@ -76,7 +76,7 @@ def read_npy(path: str | Path, names: Sequence[str] | None = None) -> Columns:
 
     Args:
         path: the file.
-        names: of the k columns, in order; "_" passes one over. None: the first three are x, y, z.
+        names: of the k columns, in order; "_" skips one. None: the first three are x, y, z.
 
     Raises:
         InputError: not readable, not an NPY file, Python objects, or a header that does not fit the data.
@@ -92,7 +92,7 @@ def read_npy(path: str | Path, names: Sequence[str] | None = None) -> Columns:
 
 
 def _columns(path: str | Path, arrays: dict[str, NDArray[Any]], names: Sequence[str] | None) -> Columns:
-    """Columns of arrays: of structured ones their fields, and of a table without names those given."""
+    """Return arrays as columns: structured arrays by their fields, and a table without names by the given ones."""
     columns: dict[str, NDArray[Any]] = {}
     height = 1
     for name, array in arrays.items():
@@ -123,9 +123,9 @@ def _columns(path: str | Path, arrays: dict[str, NDArray[Any]], names: Sequence[
 
 
 def _parse_array(path: str | Path, name: str, content: bytes) -> NDArray[Any] | None:
-    """Parse one array, after comparing what its header promises with the bytes that are there.
+    """Parse one array, after its header was checked against the number of bytes.
 
-    Arrays of Python objects that aren't known are passed over: None.
+    An array of Python objects under an unknown name is skipped: None.
     """
     header = io.BytesIO(content)
     version = np.lib.format.read_magic(header)

@@ -1,7 +1,7 @@
 """PCD files (Point Cloud Library, version 0.7): ascii, binary and binary_compressed.
 
-Own reader: the ones on the package index are heavy (Open3D), or trust the header's sizes and lose what is not the
-type they expect (pypcd4). Here every size is checked against the bytes that are there before anything is allocated.
+This package has its own reader, since others are heavy (Open3D), or trust the sizes in the header and lose fields of
+unexpected types (pypcd4). Here every size is checked against the file's before memory is allocated.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ _NO_VIEWPOINT = ["0", "0", "0", "1", "0", "0", "0"]
 """Translation and quaternion, w first."""
 _LARGEST_HEADER = 1 << 16
 _LARGEST_POINT = 1 << 16
-"""Bytes of one point; the largest descriptors of the library have a few thousand."""
+"""Bytes that a point has at most; the largest descriptors of the library have a few thousand."""
 
 
 def read_pcd(path: str | Path) -> Columns:
-    """Return all fields of a PCD file, of the types that its header states; padding ("_") is left out.
+    """Return all fields of a PCD file, with the types that its header states; padding ("_") is left out.
 
     The viewpoint is not applied: points stay in the frame they are stored in.
 
@@ -63,7 +63,7 @@ def read_pcd(path: str | Path) -> Columns:
 
 
 def write_pcd(path: str | Path, columns: dict[str, NDArray[Any]]) -> None:
-    """Write (N,) columns as a binary PCD file, of the types that they have.
+    """Write columns (N,) as a binary PCD file, with the types that they have.
 
     Raises:
         InputError: columns that differ in length, or a file that cannot be written.
@@ -98,7 +98,7 @@ def _fail(path: str | Path, problem: str) -> NoReturn:
 
 
 def _split_header(path: str | Path, data: bytes) -> tuple[dict[str, list[str]], memoryview]:
-    """Header entries by keyword, and the bytes that follow the line of DATA."""
+    """Return the entries of the header by keyword, and the bytes after the line of DATA."""
     header: dict[str, list[str]] = {}
     stream = io.BytesIO(data[:_LARGEST_HEADER])
     for raw in stream:
@@ -107,7 +107,7 @@ def _split_header(path: str | Path, data: bytes) -> tuple[dict[str, list[str]], 
             continue
         key = words[0].upper()
         if key not in _KEYS and "FIELDS" in header:
-            continue  # of a program with more to say
+            continue  # an entry beyond the standard
         if key not in _KEYS:
             _fail(path, f"expected one of the keywords {', '.join(_KEYS)}, found {words[0][:40]!r}")
         header["FIELDS" if key == "COLUMNS" else key] = words[1:]
@@ -117,7 +117,7 @@ def _split_header(path: str | Path, data: bytes) -> tuple[dict[str, list[str]], 
 
 
 def _check_viewpoint(path: str | Path, words: list[str]) -> None:
-    """Say so where a cloud was stored with a pose of its own."""
+    """Warn that the viewpoint of a cloud is not applied, if it has one."""
     try:
         moved = [float(word) for word in words] != [float(word) for word in _NO_VIEWPOINT]
     except ValueError:
@@ -127,7 +127,7 @@ def _check_viewpoint(path: str | Path, words: list[str]) -> None:
 
 
 def _integer(path: str | Path, header: dict[str, list[str]], key: str, default: int | None = None) -> int:
-    """The one number >= 0 of a keyword."""
+    """Return the one number >= 0 after a keyword."""
     words = header.get(key, [] if default is None else [str(default)])
     if len(words) != 1 or not words[0].isdecimal() or len(words[0]) > 18:
         _fail(path, f"expected one number >= 0 after {key}, found {' '.join(words)[:40]!r}")
@@ -135,7 +135,7 @@ def _integer(path: str | Path, header: dict[str, list[str]], key: str, default: 
 
 
 def _point_type(path: str | Path, header: dict[str, list[str]]) -> np.dtype[Any]:
-    """The structured type of one point."""
+    """Return the structured type of one point."""
     names = header.get("FIELDS", [])
     if not names:
         _fail(path, "its header has no line 'FIELDS ...'")
@@ -164,7 +164,7 @@ def _point_type(path: str | Path, header: dict[str, list[str]]) -> np.dtype[Any]
 
 
 def _parse_binary(path: str | Path, body: memoryview, dtype: np.dtype[Any], points: int) -> NDArray[Any]:
-    """What the header promises; after it less than a point, or padding: PCL 1.7 and 1.8 fill a page with zeros."""
+    """Return the points. Less than a point may follow them, or zeros: PCL 1.7 and 1.8 fill a page with these."""
     extra = len(body) - points * dtype.itemsize
     padded = extra >= 0 and not np.frombuffer(body, np.uint8, offset=points * dtype.itemsize).any()
     if not (0 <= extra < dtype.itemsize or padded):
@@ -177,7 +177,7 @@ def _parse_binary(path: str | Path, body: memoryview, dtype: np.dtype[Any], poin
 
 
 def _parse_compressed(path: str | Path, body: memoryview, dtype: np.dtype[Any], points: int) -> NDArray[Any]:
-    """Sizes before and after compression (uint32), then all values of the first field, of the second, ..."""
+    """Return the points of a compressed body: two sizes (uint32), then the values field by field."""
     if len(body) < 8:
         _fail(path, f"expected two sizes of 4 bytes after the header, {len(body)} bytes follow it")
     packed, unpacked = (int(size) for size in np.frombuffer(body, "<u4", 2))

@@ -1,6 +1,6 @@
 """PLY files (Stanford polygon format): ascii and binary of both byte orders; the scalar properties of the vertices.
 
-Own reader: `plyfile` is under the GPL, and Open3D's is heavy.
+This package has its own reader, since `plyfile` is under the GPL, and Open3D is heavy.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LARGEST_HEADER = 1 << 16
 
 
 def read_ply(path: str | Path) -> Columns:
-    """Return the properties of a PLY file's vertices, of the types that its header states.
+    """Return the properties of a PLY file's vertices, with the types that its header states.
 
     Raises:
         InputError: not readable, not a PLY file, a list among the vertices' properties, other elements before the
@@ -57,7 +57,7 @@ def _fail(path: str | Path, problem: str) -> NoReturn:
 
 
 def _read_header(path: str | Path, data: bytes) -> tuple[str, int, np.dtype[Any], int]:
-    """Format, number of vertices, type of one vertex, and where the data start."""
+    """Return format, number of vertices, type of one vertex, and the byte at which the data start."""
     stream = io.BytesIO(data[:_LARGEST_HEADER])
     if stream.readline().strip() != b"ply":
         _fail(path, "its first line is not 'ply'")

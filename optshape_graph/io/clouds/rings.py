@@ -1,7 +1,7 @@
-"""Rings as the package counts them: by elevation, the lowest first, and as rows of the sensor's table where known.
+"""Rings in the package's order: from the lowest elevation up; rows of the sensor's table, if the sensor is known.
 
-Drivers number beams from the bottom, from the top or in firing order, from 0 or 1. The elevation of a beam is far
-better known than anything else in a return (noise is along the ray), so it decides.
+Drivers number beams from the bottom, from the top or in firing order, from 0 or 1. The elevation decides, since it is
+better known than anything else of a return: noise is along the ray.
 """
 
 from __future__ import annotations
@@ -18,43 +18,43 @@ from optshape_graph.sensor import SensorModel
 _LOG = logging.getLogger(__name__)
 
 COUNTED_TOLERANCE = np.radians(0.5)
-"""How far a unit's beam may be from its data sheet's elevation where its number says which beam it is, rad."""
+"""How far a beam may be from the elevation in the data sheet, if its number tells which beam it is, rad."""
 
 ELEVATION_TOLERANCE = np.radians(0.3)
-"""The same where only the elevation says so."""
+"""How far a beam may be from that elevation, if only the elevation tells which beam it is, rad."""
 
 BEAM_ORIGIN_TOLERANCE_M = 0.04
 """How far above or below the origin a beam may start, metres: 36 mm in Ouster's sensor frame."""
 
 LEVEL = np.radians(0.6)
-"""Largest scatter of a beam's elevations that is taken for noise, rad: real beams have next to none, simulations have
-been published with 0.5 deg."""
+"""Largest scatter of a beam's elevations that counts as noise, rad. Real beams have next to none; simulations have been
+published with 0.5 deg."""
 
 _MEDIAN_EFFICIENCY = 1.2533
 """Standard error of a median relative to that of a mean: sqrt(pi / 2), of normal noise."""
 
 SWEEP_BACK = np.radians(3.0)
-"""By more than this the azimuth jumps back where the next beam's sweep begins, rad."""
+"""Where the next beam's sweep begins, the azimuth jumps back by more than this, rad."""
 
 SWEEP_JITTER = np.radians(0.2)
-"""By as much sweeps of different beams may begin apart, rad."""
+"""Sweeps of different beams begin at azimuths that differ by less than this, rad."""
 
 MOST_SWEEPS = 256
-"""Beams of the largest sensors."""
+"""Beams that a sensor has at most."""
 
 ENOUGH_RETURNS = 1 << 14
-"""Returns that tell the elevations of all beams; of a larger cloud as many are looked at, of each beam its share."""
+"""So many returns tell the elevations of all beams; in a larger cloud as many are sampled, in proportion from each
+beam."""
 
 LARGEST_STRAY_SHARE = 0.1
-"""Share of returns between the rows of a table that still fits."""
+"""A table still fits if no larger share of the returns lies between its rows."""
 
 
 def rings_of_ids(points: Floats, ids: Ints, sensor: SensorModel | None, name: str) -> Ints | None:
     """Turn the beam numbers of a driver into rings.
 
-    With a sensor, ring r is the row r of its table. Without, numbers that follow the elevation (to within its noise)
-    are kept, numbers that run from the top down are counted from the highest number that occurs, and others are ranked
-    by elevation.
+    With a sensor, ring r is row r of its table. Without one, numbers that rise with the elevation (to within its noise)
+    are kept, numbers that fall are counted from the highest that occurs, and others are ranked by elevation.
 
     Args:
         points: (N, 3) metres, LiDAR frame.
@@ -63,8 +63,8 @@ def rings_of_ids(points: Floats, ids: Ints, sensor: SensorModel | None, name: st
         name: the source, for messages.
 
     Returns:
-        (N,) rings, or None where the numbers are not rings: their returns are no more level than the cloud (Livox
-        numbers its laser lines, whose pattern is not one of rings).
+        (N,) rings; or None if the numbers are not of rings: the elevations of one number vary as much as those of the
+        cloud (Livox numbers its laser lines, which do not scan rings).
 
     Raises:
         InputError: the sensor's table does not fit the elevations.
@@ -117,10 +117,10 @@ def rings_of_elevations(points: Floats, sensor: SensorModel, name: str) -> Ints:
 
 
 def rings_by_firing(points: Floats, sensor: SensorModel | None, name: str) -> Ints | None:
-    """Recover rings from the order of returns, where the file keeps each beam's sweep together, as KITTI's do.
+    """Recover rings from the order of returns, if the file keeps each beam's sweep together, as KITTI's do.
 
-    A beam's sweep ends where the azimuth jumps back, or where it has gone round; the next is of the next beam. Where a
-    round begins the file does not say: of three places the one that makes the fewest level sweeps.
+    A beam's sweep ends where the azimuth jumps back, or has gone round; the next sweep is of the next beam. The azimuth
+    at which a round begins is not known: of three candidates, the one with the fewest level sweeps is taken.
 
     Args:
         points: (N, 3) metres, LiDAR frame, in the order of the file.
@@ -128,7 +128,7 @@ def rings_by_firing(points: Floats, sensor: SensorModel | None, name: str) -> In
         name: the source, for messages.
 
     Returns:
-        (N,) rings, or None where the order does not show any, or shows other ones than the sensor has.
+        (N,) rings; or None if the order shows none, or others than the sensor has.
     """
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     step = np.angle(np.exp(1j * np.diff(azimuth)))
@@ -158,7 +158,7 @@ def rings_by_firing(points: Floats, sensor: SensorModel | None, name: str) -> In
 
 
 def _sample(ids: Ints, counts: Ints) -> slice | NDArray[np.intp]:
-    """Which returns to look at: all, or of a large cloud every n-th of each beam, and its first."""
+    """Return which returns to use: all, or in a large cloud each beam's first and every n-th."""
     every = len(ids) // ENOUGH_RETURNS
     if every < 2:
         return slice(None)
@@ -171,20 +171,20 @@ def _elevations(points: Floats) -> Floats:
 
 
 def _medians(values: Floats, group: NDArray[np.intp], n: int) -> Floats:
-    """(n,) median of the values of each group."""
+    """Return the median (n,) of the values of each group."""
     order = np.argsort(group.astype(np.uint16), kind="stable")  # of 16 bits: counted, not compared
     parts = np.split(values[order], np.cumsum(np.bincount(group, minlength=n))[:-1])
     return np.array([np.median(part) for part in parts])
 
 
 def _scatter(elevation: Floats, group: NDArray[np.intp]) -> float:
-    """Mean square of elevations about the mean of their group, rad2."""
+    """Return the mean square of elevations about the mean of their group, rad2."""
     means = np.bincount(group, elevation) / np.maximum(np.bincount(group), 1)
     return float(np.mean((elevation - means[group]) ** 2))
 
 
 def _are_level(elevation: Floats, group: NDArray[np.intp]) -> bool:
-    """Whether beam numbers explain most of the variance of the elevation, or there is next to none to explain."""
+    """Return whether beam numbers explain most of the variance of the elevation, or there is hardly any."""
     within = _scatter(elevation, group)
     return within < 0.5 * float(np.var(elevation)) or within < LEVEL**2
 
@@ -192,12 +192,12 @@ def _are_level(elevation: Floats, group: NDArray[np.intp]) -> bool:
 def _rows_of_table(
     present: Ints, medians: Floats, noise: Floats, ranges: Floats, sensor: SensorModel, name: str
 ) -> Ints:
-    """The table's row of each beam number: numbers as drivers count them if those fit, else by elevation alone.
+    """Return the table's row of each beam number: by a driver's way of counting if one fits, else by elevation alone.
 
     Args:
         present: (m,) beam numbers.
         medians: (m,) elevation of each, rad.
-        noise: (m,) by how much the medians may be off by chance, rad.
+        noise: (m,) standard error of each median, rad.
         ranges: (m,) median range of each, metres.
         sensor: whose table.
         name: the source, for messages.
@@ -211,7 +211,7 @@ def _rows_of_table(
     if misfits:
         means = [float(misfit.mean()) for misfit in misfits]
         chance = float(noise.mean()) / np.sqrt(len(noise))
-        best = next(i for i, mean in enumerate(means) if mean <= min(means) + chance)  # of equals the first
+        best = next(i for i, mean in enumerate(means) if mean <= min(means) + chance)  # the first of equals
         if (misfits[best] <= COUNTED_TOLERANCE + _beam_origin(ranges)).all():
             return counted[best]
     nearest = sensor.nearest_ring(medians)
@@ -233,9 +233,9 @@ def _rows_of_table(
 
 
 def _free_tolerance(rows: Ints, ranges: Floats, sensor: SensorModel) -> Floats:
-    """How far from a row of the table an elevation may be to be taken for it without a number that says so, rad.
+    """Return how far from a row of the table an elevation may be to count as that row's, without a beam number, rad.
 
-    Of elevations that have nothing to do with the table, 70 % would be within 0.35 of the gap between rows.
+    Of elevations unrelated to the table, 70 % would be within 0.35 of the gap between rows.
     """
     gaps = np.concatenate([[np.inf], np.diff(sensor.elevations), [np.inf]])
     gap = np.minimum(gaps[rows], gaps[rows + 1])

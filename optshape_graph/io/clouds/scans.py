@@ -1,4 +1,4 @@
-"""Columns to scans: which columns are points, rings and times, in which units, and what is no return."""
+"""Scans made of columns: which columns are points, rings and times, in which units, and which rows are not returns."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ from optshape_graph.sensor import SensorModel
 _LOG = logging.getLogger(__name__)
 
 FARTHEST_M = 500.0
-"""No LiDAR's median return is farther: beyond, the cloud is in millimetres or in a map's coordinates."""
+"""No LiDAR's median return is farther, metres; such a cloud is in millimetres or in a map's coordinates."""
 
 MAP_M = 1e5
-"""From here on they are a map's: as millimetres, 100 m."""
+"""From this distance on, metres, coordinates are a map's: as millimetres they would be 100 m."""
 
 NO_RETURN_M = 1e7
-"""Coordinates from here on, which some drivers write as the largest number there is, mean that nothing came back."""
+"""From this distance on, metres, a point is not a return: some drivers write the largest number if nothing came
+back."""
 
 NOISE_TAGS = 0b0101
-"""Bits of Livox's tag that mark noise: by the position of a return among others, and by its intensity."""
+"""Bits of Livox's tag that mark noise, by the position of a return among others and by its intensity."""
 
 
-@np.errstate(invalid="ignore", over="ignore")  # of signalling NaNs and absurd numbers that a file may hold
+@np.errstate(invalid="ignore", over="ignore")  # for signalling NaNs and absurd numbers in a file
 def make_scan(
     columns: Columns,
     sensor: SensorModel | None = None,
@@ -42,28 +43,28 @@ def make_scan(
 ) -> Scan:
     """Make a scan of a cloud's columns.
 
-    - Columns are known by many names (`columns.KNOWN`), whatever their case; a unit in the name counts.
+    - Columns are recognised by many names (`columns.KNOWN`) in any case; a unit in the name counts.
     - Points are `x`, `y`, `z`, or one array (N x 3), in metres.
-    - Points that are not finite, exactly at the origin, or beyond `NO_RETURN_M` are no returns: they go, with all their
-      fields; and so do those that a Livox marks as noise (`NOISE_TAGS`).
-    - Rings are a column of any integer type or of floats that hold integers; or told by the order of firing where the
-      file keeps it; or the rows (or columns) of an organised cloud with as many as the sensor has rings; or recovered
-      from the elevations when the sensor is known; else there are none. However a driver numbers them, they come out
-      counted from the lowest elevation, and as rows of the sensor's table where the sensor is known (see `rings`).
-      Livox's lines, beside which there is a tag, are lasers of a pattern without rings.
-    - Returns are put where a calibrated sensor's file says that they are (`put_right`).
-    - Times have the unit that follows from name, type and size (see `times.seconds_of_points`).
+    - Points that are not finite, exactly at the origin, or beyond `NO_RETURN_M` are not returns: they are dropped with
+      all their fields, and so are returns that a Livox marks as noise (`NOISE_TAGS`).
+    - Rings are a column of any integer type, or of floats that hold integers. Without one, they come from the order of
+      firing, if the file keeps it; from the rows (or columns) of an organised cloud, if it has as many as the sensor
+      has rings; or from the elevations, if the sensor is known. However a driver numbers them, rings are counted from
+      the lowest elevation, and are rows of the table of a known sensor (see `rings`). Livox's lines, which come with a
+      tag, are not rings.
+    - Returns are corrected by a calibrated sensor's file (`put_right`).
+    - The unit of times follows from name, type and size (see `times.seconds_of_points`).
 
     Args:
         columns: a file's or a message's columns.
         sensor: the sensor that made the cloud, if known.
         stamp: the scan's own time, seconds since the epoch, from which absolute times of points are counted; None:
             from the earliest.
-        unused: counts the names of columns that the scan does not have.
+        unused: counter, by name, of columns that do not go into the scan.
 
     Raises:
-        InputError: no points or none left, columns of different lengths, millimetres, map coordinates, rings that are
-            not integers, or a sensor whose table does not fit the elevations.
+        InputError: no returns, columns of different lengths, millimetres, map coordinates, rings that are not integers,
+            or a sensor whose table does not fit the elevations.
     """
     name = columns.name
     try:
@@ -95,7 +96,7 @@ def make_scan(
     if not whole:
         points, squared = points[there], squared[there]
     _check_frame(points, squared, name)
-    del squared  # memory is what limits the largest clouds
+    del squared  # memory limits the size of clouds
     ring = _rings(columns, None if is_livox(known) else column("ring"), points, there, sensor)
     intensity, time = column("intensity"), column("time")
     seconds = None
@@ -117,7 +118,7 @@ def make_scan(
 
 
 def unused_columns(columns: Columns, known: dict[str, Role], with_times: bool) -> list[str]:
-    """Return the names of columns that a scan made of them does not have."""
+    """Return the names of columns that do not go into the scan."""
     tags = is_livox(known)
     used = {
         role.column
@@ -128,7 +129,7 @@ def unused_columns(columns: Columns, known: dict[str, Role], with_times: bool) -
 
 
 def is_livox(known: dict[str, Role]) -> bool:
-    """Say whether the columns are those of a Livox: a tag beside the laser's line."""
+    """Return whether the columns are those of a Livox: a tag beside the laser's line."""
     return "tag" in known and "ring" in known and known["ring"].column.lower() == "line"
 
 
@@ -166,7 +167,7 @@ def _without_noise(known: dict[str, Role], columns: Columns, there: Bools) -> Bo
 
 
 def _points(known: dict[str, Role], columns: Columns) -> Floats:
-    """(N, 3) points, metres, a copy."""
+    """Return a copy of the points (N, 3), metres."""
     values, name = columns.values, columns.name
     if {"x", "y", "z"} <= known.keys():
         axes = [values[known[axis].column].reshape(-1) for axis in "xyz"]
@@ -217,7 +218,7 @@ def _check_frame(points: Floats, squared: Floats, name: str) -> None:
 
 
 def _organised_ids(height: int, n: int, sensor: SensorModel) -> Ints | None:
-    """(n,) row, or column, of each point of an organised cloud that has as many as the sensor has rings."""
+    """Return the row (n,), or column, of each point of an organised cloud that has as many as the sensor has rings."""
     if height <= 1 or n % height:
         return None
     rows, columns = np.divmod(np.arange(n), n // height)
@@ -230,7 +231,7 @@ def integers(ids: NDArray[Any], name: str) -> Ints:
     """Return ring numbers (N,) as integers (N,).
 
     Raises:
-        InputError: one is negative, too large, or no integer.
+        InputError: a number that is negative, too large, or not an integer.
     """
     if ids.dtype.kind in "ub" and ids.dtype.itemsize <= 2:
         return ids.astype(np.int64)

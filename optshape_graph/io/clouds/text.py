@@ -21,26 +21,26 @@ from optshape_graph.io.files import read_bytes
 _LOG = logging.getLogger(__name__)
 
 LARGEST_BAD_SHARE = 0.1
-"""Share of lines that may be no numbers; they are left out and counted."""
+"""Share of lines that may be bad; they are left out and counted."""
 
 _DELIMITERS = (",", ";", "\t")
 _COMMENTS = ("#", "//", "%")
 _PREAMBLE = 50
-"""Lines among which the one that names the columns is looked for."""
+"""The line that names the columns is among so many first lines."""
 
 _SKIPPED = ("", "_", "-", "*")
-"""Given names of columns that are passed over."""
+"""Names that the caller gives to columns to be skipped."""
 
 
 def read_table(path: str | Path, wanted: Callable[[Sequence[str]], Sequence[str]], expected: str) -> Columns:
     """Return columns of a text file whose first line names them.
 
-    Columns are separated by commas, semicolons, tabs or blanks; those that aren't wanted may hold anything. Lines
-    before the one that names the columns, and comments, are passed over.
+    Commas, semicolons, tabs or blanks separate columns; columns that are not wanted may hold anything. Lines before the
+    one that names the columns, and comments, are skipped.
 
     Args:
         path: the file.
-        wanted: picks the names to read out of the names that there are.
+        wanted: picks the names to read out of all names.
         expected: what the first line should look like, for messages.
 
     Raises:
@@ -63,15 +63,14 @@ def read_table(path: str | Path, wanted: Callable[[Sequence[str]], Sequence[str]
 
 
 def read_csv(path: str | Path, names: Sequence[str] | None = None) -> Columns:
-    """Return the columns of a cloud's text file that are known (`columns.KNOWN`).
+    """Return the columns with known names (`columns.KNOWN`) of a cloud's text file.
 
     Args:
         path: the file.
-        names: of its columns, in order, where the file has no line of names or has others; "_" passes one over.
-            None: as the file has them.
+        names: of its columns, in order, for a file without names or with others; "_" skips one. None: the file's own.
 
     Raises:
-        InputError: as `read_table`; without names for x, y and z.
+        InputError: as `read_table`, or no names for x, y and z.
     """
     if names is not None:
         return _with_names(path, names)
@@ -92,7 +91,7 @@ def read_csv(path: str | Path, names: Sequence[str] | None = None) -> Columns:
 
 
 def _with_names(path: str | Path, names: Sequence[str]) -> Columns:
-    """Columns of a file whose names are given; lines before the first of numbers are passed over."""
+    """Return the columns of a file by given names; lines before the first line of numbers are skipped."""
     lines = decode(read_bytes(path)).splitlines()
     chosen = [name for name in names if name.strip() not in _SKIPPED]
     there = roles(chosen)
@@ -127,13 +126,13 @@ def parse_table(
     rows: int | None = None,
     first_line: int = 1,
 ) -> NDArray[Any]:
-    """Return a table of numbers, separated by white space, as a structured array (N,).
+    """Return a table of numbers that white space separates as a structured array (N,).
 
     Args:
         path: the source, for messages.
         body: text, one point per line; blank lines do not count.
         dtype: structured type of one line. Integers may be written as floats ("3.0").
-        rows: how many points there must be; None: as many as there are.
+        rows: how many points there must be; None: any number.
         first_line: where `body` starts in the file, for messages.
 
     Raises:
@@ -160,7 +159,7 @@ def _load(
 
 
 def _integers_as_floats(body: bytes | memoryview, dtype: np.dtype[Any]) -> NDArray[Any] | None:
-    """The table, its integers read as floats; None: it isn't that either."""
+    """Return the table with its integers read as floats; None: it cannot be read so either."""
     floating = np.dtype([(name, "f8", dtype[name].shape) for name in dtype.names or ()])
     try:
         table = _load(body, floating, None)
@@ -177,7 +176,7 @@ def _integers_as_floats(body: bytes | memoryview, dtype: np.dtype[Any]) -> NDArr
 def _numbers(
     path: str | Path, lines: list[str], names: list[str], chosen: list[str], delimiter: str | None, first_line: int
 ) -> Columns:
-    """The chosen columns of lines of numbers."""
+    """Return the chosen columns of lines of numbers."""
     if delimiter in (";", "\t") and any("," in line for line in lines):
         lines = [line.replace(",", ".") for line in lines]  # decimal commas
     if any(line.lstrip().startswith(_COMMENTS) for line in lines):
@@ -201,7 +200,7 @@ def _good_lines(
     complaint: str,
     first_line: int,
 ) -> NDArray[Any]:
-    """The lines that are numbers, where one in a while isn't."""
+    """Return the lines that consist of numbers, where a few do not."""
     rows: list[tuple[float, ...]] = []
     bad, first = 0, 0
     for number, line in enumerate(lines, first_line):
@@ -238,7 +237,7 @@ def _is_number(word: str) -> bool:
 
 
 def _what_is_wrong(complaint: str, body: bytes, first_line: int) -> str:
-    """Line, problem and column out of NumPy's complaint, which counts the lines of points from 0."""
+    """Return line, problem and column from NumPy's complaint, which counts lines of points from 0."""
     complaint = complaint.replace("the dtype passed requires", "expected")
     found = re.search(r"at row (\d+)(?:, column (\d+))?[^']*\Z", complaint)
     if found is None:

@@ -1,4 +1,4 @@
-"""Recordings: bags and folders in, time-synchronised sessions out."""
+"""Recordings: bags, captured packets and folders are read; sessions of what belongs together in time are cut out."""
 
 from optshape_graph.io.recordings.clocks import ClockOffset, estimate_clock_offset, marker_rotations
 from optshape_graph.io.recordings.extraction import Extraction, Selection, estimate_mocap_offset, extract_session

@@ -26,17 +26,17 @@ SURVEYED = 100
 
 
 def is_bag(path: Path) -> bool:
-    """Say whether a path looks like a bag: a storage file, or a folder with the metadata of a ROS 2 bag."""
+    """Return whether a path looks like a bag: a storage file, or a folder with the metadata of a ROS 2 bag."""
     return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix in SUFFIXES
 
 
 class Bag:
-    """A bag on disk. Nothing stays open: every pass over messages opens the file and closes it.
+    """A bag on disk. Every pass over its messages opens the file and closes it.
 
     Attributes:
         path: file, or folder of a ROS 2 bag.
         ros: 1 or 2: how messages are serialised.
-        span: seconds of the first and the last message, as recorded; None: there is none.
+        span: seconds of the first and the last message, as recorded; None: there are no messages.
 
     Raises:
         InputError: not a readable bag.
@@ -70,7 +70,7 @@ class Bag:
         return self._recorded + tuple(transforms)
 
     def read(self, topic: Topic, skipped: Skipped, sensor: SensorModel | None = None) -> Iterator[Stamped[Any]]:
-        """Yield what a topic holds in order of recording: `Scan`, `Image`, `CameraIntrinsics` or a (4, 4) pose.
+        """Yield the values of a topic in order of recording: `Scan`, `Image`, `CameraIntrinsics` or a (4, 4) pose.
 
         Raises:
             InputError: the bag cannot be read.
@@ -118,7 +118,7 @@ class Bag:
         return None if file is None else file.read_text(encoding="utf-8")
 
     def _latest_path(self, topic: Topic, skipped: Skipped) -> Iterator[Stamped[Floats]]:
-        """Yield the poses of the last path: each repeats the one before, and has a pose more."""
+        """Yield the poses of the last path: each path repeats the one before, and adds a pose."""
         latest: list[Stamped[Floats]] = []
         for number, data in enumerate(self._raw(topic.name, skipped)):
             try:
@@ -142,7 +142,7 @@ class Bag:
         return [messages.decode_pose(self.ros, topic.type, data)]
 
     def frame(self, topic: Topic) -> str:
-        """Return the frame that a topic of scans is in, or that a topic of poses is of; empty where it is not said.
+        """Return the frame of a topic's scans, or the frame whose poses a topic has; empty if it is not stated.
 
         Raises:
             InputError: the bag cannot be read.
@@ -193,7 +193,7 @@ class Bag:
     def _messages(self, name: str, skipped: Skipped) -> Generator[tuple[float, bytes], None, None]:
         """Yield when the messages of a topic were received, seconds, and they, serialised, in order of recording.
 
-        Where the file is damaged reading ends, and the messages that its index promises beyond are counted.
+        Reading ends where the file is damaged; the remaining messages in its index are counted as skipped.
         """
         with self._open() as reader:
             connections = [connection for connection in reader.connections if connection.topic == name]
@@ -208,7 +208,7 @@ class Bag:
                     _, received, data = next(raw)
                 except StopIteration:
                     return
-                except Exception as error:  # a storage reader on damaged bytes: not a closed set
+                except Exception as error:  # a storage reader may raise anything on damaged bytes
                     problem = BadMessage("recording damaged from there on", f"{type(error).__name__}: {error}")
                     skipped.add(problem, f"{self.path} {name} message {number}", max(promised - number, 1))
                     return
@@ -225,7 +225,7 @@ class Bag:
             reader.open()
         except (PermissionError, FileNotFoundError):
             raise
-        except Exception as error:  # a storage reader on damaged bytes: not a closed set
+        except Exception as error:  # a storage reader may raise anything on damaged bytes
             raise InputError(
                 f"{self.path}: not a readable bag: {error or type(error).__name__}"
                 " (a recording that was cut off needs `rosbag reindex`, `ros2 bag reindex` or `mcap recover`)"
@@ -237,15 +237,15 @@ class Bag:
 
 
 def _kind(name: str, msgtype: str) -> Kind:
-    """What a topic holds: its type says it; of an Ouster's packets, which are of one type, the name."""
+    """Return the kind of a topic, by its type; by its name for an Ouster's packets, which are all of one type."""
     return "other" if msgtype in packets.OUSTER and "imu" in name else messages.kind_of(msgtype)
 
 
 def _check_inside(folder: Path) -> None:
-    """Check that no file of a bag's folder is a link to elsewhere: bags are copied around, links with them.
+    """Check that no file in a bag's folder is a link that leads out of it: such links may be copied with the bag.
 
     Raises:
-        InputError: one is.
+        InputError: a file is such a link.
     """
     for path in folder.iterdir():
         if not path.resolve().is_relative_to(folder.resolve()):

@@ -1,8 +1,8 @@
 """The offset between two clocks, from one motion that both saw.
 
-Angular speed is what two sensors on one rigid body agree on, whatever their frames and lever arms. Its two
-records are laid over each other at every lag; the lag at which they correlate best is the offset. Where the body
-did not turn, or turned so regularly that several lags fit, no offset can be told, and that is said.
+Two sensors on one rigid body have the same angular speed, whatever their frames and lever arms. The two records of it
+are correlated at every lag; the lag with the highest correlation is the offset. If the body did not turn, or turned so
+regularly that several lags fit, an error says that the offset is not determined.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ STEP = 0.01
 """Sampling of the angular speeds, seconds."""
 
 SPAN = 0.2
-"""Time over which a rotation is divided to give a speed, seconds: it averages the noise of both sensors alike."""
+"""Speeds are averaged over this time, seconds, so that the noise of both sensors is averaged alike."""
 
 SHORTEST_OVERLAP = 5.0
-"""Motion that both must have seen at a lag, seconds."""
+"""Both must have seen this much motion at a lag, seconds."""
 
 LEAST_CORRELATION = 0.8
 """Below this the two records do not show the same motion."""
 
 LEAST_MARGIN = 0.1
-"""By this much the best lag's correlation must exceed that of every other hill."""
+"""The correlation at the best lag must exceed that of every other peak by this much."""
 
 LEAST_SPEED = np.radians(3.0)
 """Standard deviation of the angular speed, rad/s, below which a body counts as not turning."""
 
 RIGID_M = 0.01
-"""Median distance of markers to the rigid body fitted to them, metres, above which they are not on one."""
+"""Markers are not on one rigid body if their median distance from the body fitted to them is larger, metres."""
 
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """What to add to one clock's times to get the other's.
+    """The offset between two clocks: what to add to the times of one to get those of the other.
 
     Attributes:
         seconds: the offset.
         standard_deviation: of it, seconds; from the residual speeds, taken as independent from `SPAN` to `SPAN`.
         correlation: of the two angular speeds at that offset.
-        runner_up: highest correlation at a lag that is not on the same hill.
+        runner_up: highest correlation at another peak.
         overlap: seconds of motion compared.
     """
 
@@ -63,7 +63,7 @@ def estimate_clock_offset(
 ) -> ClockOffset:
     """Estimate what to add to `other_stamps` to get `stamps`.
 
-    Drift between the clocks is not estimated: it shows as a lower correlation.
+    Drift between the clocks is not estimated; it lowers the correlation.
 
     Args:
         stamps: (N,) seconds, increasing.
@@ -116,7 +116,7 @@ def angular_speed(stamps: Floats, rotations: Rotation) -> tuple[Floats, Bools]:
         rotations: N of the body.
 
     Returns:
-        (S,) speed averaged over `SPAN`, rad/s, and (S,) whether there were stamps near enough to tell.
+        (S,) speed averaged over `SPAN`, rad/s, and (S,) whether stamps were near enough.
 
     Raises:
         InputError: too few poses, or over too short a time, to show a motion.
@@ -151,7 +151,7 @@ def masked_correlation(a: Floats, seen_a: Bools, b: Floats, seen_b: Bools) -> tu
         (L,) lags, numbers of samples: sample i of a lies over sample i - lag of b; (L,) Pearson correlation; (L,)
         number of samples seen by both.
     """
-    mean = (a[seen_a].mean() + b[seen_b].mean()) / 2  # correlations do not change, rounding does
+    mean = (a[seen_a].mean() + b[seen_b].mean()) / 2  # for less rounding; correlations do not change
     a, b = np.where(seen_a, a - mean, 0.0), np.where(seen_b, b - mean, 0.0)
     ma, mb = seen_a.astype(float), seen_b.astype(float)
 
@@ -173,7 +173,7 @@ def masked_correlation(a: Floats, seen_a: Bools, b: Floats, seen_b: Bools) -> tu
 
 
 def marker_rotations(mocap: MocapRecording) -> tuple[Floats, Rotation]:
-    """Return times and rotations of the rigid body that a recording's markers are on, where three are seen.
+    """Return the times at which three markers are seen, and the rotations of their rigid body.
 
     The rotations are relative to the frame in which most markers are seen (Kabsch, batched).
 
@@ -206,7 +206,7 @@ def marker_rotations(mocap: MocapRecording) -> tuple[Floats, Rotation]:
 
 
 def _runner_up(correlation: Floats, best: int) -> float:
-    """Highest correlation off the best lag's hill: beyond where it first falls by `LEAST_MARGIN` on either side."""
+    """Return the highest correlation beyond the best peak, which ends where it has fallen by `LEAST_MARGIN`."""
     low = correlation < correlation[best] - LEAST_MARGIN
     left = best - int(low[best::-1].argmax()) if low[: best + 1].any() else -1
     right = best + int(low[best:].argmax()) if low[best:].any() else len(correlation)
@@ -214,7 +214,7 @@ def _runner_up(correlation: Floats, best: int) -> float:
 
 
 def _peak(values: Floats, k: int) -> float:
-    """Offset from k, in samples, of the vertex of the parabola through k and its neighbours."""
+    """Return the offset from k, in samples, of the vertex of the parabola through k and its neighbours."""
     if not 0 < k < len(values) - 1:
         return 0.0
     left, centre, right = values[k - 1 : k + 2]
@@ -223,7 +223,7 @@ def _peak(values: Floats, k: int) -> float:
 
 
 def _deviation(a: Floats, seen_a: Bools, b: Floats, seen_b: Bools, lag: int) -> float:
-    """Standard deviation of the offset: residual speed over the slope of the speed (Cramer-Rao of a time delay)."""
+    """Return the standard deviation of the offset: residual speed over the slope of the speed (Cramer-Rao bound)."""
     start, stop = max(0, lag), min(len(a), len(b) + lag)
     x, y = a[start:stop], b[start - lag : stop - lag]
     seen = seen_a[start:stop] & seen_b[start - lag : stop - lag]

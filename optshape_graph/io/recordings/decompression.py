@@ -1,6 +1,6 @@
-"""Bounds on what a bag's compressed parts become: a thousand bytes can hold a thousand million.
+"""Bounded decompression of bags, since a thousand bytes can expand to a thousand million.
 
-rosbags decompresses a chunk or a message whole, whatever it makes. Copies of its readers have bounded decompressors.
+rosbags decompresses a chunk or a message whole, without a limit. Copies of its readers get bounded decompressors here.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from types import SimpleNamespace
 from typing import Any
 
 LARGEST_PART = 1 << 29
-"""Bytes that a chunk or a message may have: recorders write chunks of a few megabytes, and no message is half a GB."""
+"""Bytes that a chunk or a message has at most: recorders write chunks of a few megabytes, and no message is half a
+GB."""
 
 
 def bounded(decompressor: Callable[[], Any], data: bytes) -> bytes:
-    """Return what data, of one stream or several, were made of.
+    """Return data, of one stream or several, decompressed.
 
     Args:
         decompressor: makes an incremental decompressor of the standard library's kind.
@@ -43,7 +44,8 @@ def bounded(decompressor: Callable[[], Any], data: bytes) -> bytes:
 def bounded_readers() -> tuple[Any, Any]:
     """Return the readers of ROS 1 and of ROS 2 bags, with bounded decompressors.
 
-    They are of copies of rosbags' modules, so that whoever else uses rosbags in this process has it as it is.
+    They come from copies of rosbags' modules, so that rosbags itself stays unchanged for its other users in this
+    process.
     """
     from bz2 import BZ2Decompressor
 

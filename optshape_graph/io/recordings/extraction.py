@@ -32,7 +32,7 @@ from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 FEWEST_MARKERS = 3
-"""Markers that must be seen for a frame to say where a target is."""
+"""A frame locates a target if so many markers are seen."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,13 @@ class Selection:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Extraction(Value):
-    """What became of a recording.
+    """The outcome of an extraction.
 
     Attributes:
         session: the session file written.
         scans: number of usable scans between start and end.
         views: number of views written.
-        thinned: number of scans that were complete and left out to keep the interval.
+        thinned: number of complete scans that were left out to keep the interval.
         dropped: number of scans dropped by reason.
         skipped: number of messages skipped by stream and reason.
         unused: number of messages that had a field which is not used, by stream and field.
@@ -77,7 +77,7 @@ class Extraction(Value):
 
     @property
     def passed_over(self) -> PassedOver:
-        """What of the streams was not used."""
+        """Messages and fields of the streams that were not used."""
         of = [{f"messages of {name}": Counter(n) for name, n in by.items()} for by in (self.skipped, self.unused)]
         return PassedOver(*of)
 
@@ -120,17 +120,17 @@ def extract_session(
     selection: Selection = Selection(),
     track: Track = lambda items, *_: items,
 ) -> Extraction:
-    """Write a session of the scans that have everything that was asked for.
+    """Write a session of the scans for which everything asked for was recorded.
 
-    The recording is read twice, so that nothing but stamps is held: once to pair, once to write. A scan belongs to
-    the image nearest in time, if it is that image's nearest scan; markers are interpolated between their frames at
+    The recording is read twice, once to pair and once to write, so that only stamps are kept in memory. A scan belongs
+    to the image nearest in time, if it is that image's nearest scan; markers are interpolated between their frames at
     the scan's stamp.
 
     Args:
         recording: to cut from.
         folder: to write to; it must not hold a session yet.
         sensor: the LiDAR.
-        targets: that may be in view.
+        targets: those that may be in view.
         scan_topic: of the scans; None: the only one.
         image_topic: of the images; needs `camera`. None: the only one.
         camera: the intrinsics; None: no images.

@@ -1,9 +1,9 @@
 """Recordings as folders: clouds or images with a file of timestamps, and trajectories.
 
-A folder is a topic of clouds or of images if it has a file of timestamps; the files may be in its subfolder
-`data`, as in KITTI; or one video, with a stamp for each frame. A recording is such a folder, or a folder of such
-folders. TUM trajectories (`*.tum`) in it are its topics of poses. Nothing outside the folder is read, whatever a
-timestamps file or a link says.
+A folder is a topic of clouds or of images if it has a file of timestamps. The clouds or images may be in its subfolder
+`data`, as in KITTI; a video with a stamp for each frame may stand for images. A recording is such a folder, or a folder
+of such folders. TUM trajectories (`*.tum`) in it are its topics of poses. Nothing outside the folder is read, even if a
+file of timestamps or a link leads there.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Folder:
         return Topic(name, kind, common, counted[kind]) if counted[kind] else None
 
     def read(self, topic: Topic, skipped: Skipped, sensor: SensorModel | None = None) -> Iterator[Stamped[Any]]:
-        """Yield what a topic holds in the order of its timestamps file: `Scan`, `Image` or a (4, 4) pose.
+        """Yield the values of a topic in the order of its timestamps: `Scan`, `Image` or a (4, 4) pose.
 
         Raises:
             InputError: the timestamps do not fit the files, or lead out of the folder.
@@ -135,7 +135,7 @@ class Folder:
 
 
 def _stamp_file(folder: Path, top: Path) -> Path | None:
-    """The file with the stamps of a folder's files: in it; or, where KITTI's odometry has it, in the folder above."""
+    """Return the file with the stamps of a folder's files: in the folder or, for KITTI's odometry, in the one above."""
     own = next((folder / name for name in STAMP_FILES if (folder / name).is_file()), None)
     if own is not None or folder == top:
         return own
@@ -144,13 +144,13 @@ def _stamp_file(folder: Path, top: Path) -> Path | None:
 
 
 def _data(folder: Path) -> list[Path]:
-    """Files that timestamps belong to, by name, numbers in it by their size."""
+    """Return the files that timestamps belong to, sorted by name, with numbers in names sorted as numbers."""
     data = folder / "data" if (folder / "data").is_dir() else folder
     return sorted((file for file in data.iterdir() if file.is_file() and file.name not in STAMP_FILES), key=_order)
 
 
 def _order(file: Path) -> tuple[object, ...]:
-    """Sort names as numbers are: scan_2 before scan_10, and 1.25 before 1.5 where the whole name is a number."""
+    """Return the key by which names sort as numbers: scan_2 before scan_10, and 1.25 before 1.5."""
     if re.fullmatch(r"\d+(\.\d+)?", file.stem):
         return (0, float(file.stem), file.name)
     return (1, *((1, int(part), "") if part.isdigit() else (0, 0, part) for part in _digits(file.name)), file.name)

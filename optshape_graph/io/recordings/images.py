@@ -20,13 +20,13 @@ Pixels = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Encoding:
-    """How pixels are sent.
+    """The layout of pixels in a message.
 
     Attributes:
         channels: values of a pixel.
         bits: of a value, 8 or 16.
-        conversion: OpenCV's name of what makes blue, green, red of them; "": they are that, or grey, already.
-        rows: rows of bytes for a row of pixels: more than one where colours follow the brightness of all pixels.
+        conversion: OpenCV's name of the conversion to blue, green, red; "": none is needed.
+        rows: rows of bytes for a row of pixels; more than one if the colours follow the brightness of all pixels.
     """
 
     channels: int
@@ -63,7 +63,7 @@ class RawImage(Value):
 
     Attributes:
         encoding: as in sensor_msgs/image_encodings, one of `ENCODINGS`.
-        rows: (H, W * bytes per pixel) without the padding of rows; more rows where colours follow (`Encoding.rows`).
+        rows: (H, W * bytes per pixel) without the padding of rows; more rows if colours follow (`Encoding.rows`).
         big_endian: whether values of 16 bits have their larger byte first.
     """
 
@@ -74,7 +74,7 @@ class RawImage(Value):
     def pixels(self) -> Pixels:
         """Return (H, W) of a grey image or (H, W, 3) in OpenCV's order (blue, green, red).
 
-        Of 16 bits the eight highest that are used are kept: cameras of 10 or 12 bits fill the lower ones.
+        Of 16 bits the eight highest that are in use are kept: cameras of 10 or 12 bits leave the upper ones empty.
         """
         how = ENCODINGS[self.encoding]
         values: NDArray[Any] = self.rows
@@ -91,7 +91,7 @@ class RawImage(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompressedImage(Value):
-    """An image as a file would hold it.
+    """An image as the content of a file.
 
     Attributes:
         data: the bytes of a JPEG or PNG file.
@@ -143,7 +143,7 @@ def raw_image(message: Any) -> RawImage:
 
 
 def compressed_image(message: Any) -> CompressedImage:
-    """Return the image of a sensor_msgs/CompressedImage; its first bytes say what it is, not `format`.
+    """Return the image of a sensor_msgs/CompressedImage; its first bytes tell the format, not its field `format`.
 
     Raises:
         BadMessage: neither JPEG nor PNG.

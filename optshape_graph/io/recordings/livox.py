@@ -1,7 +1,7 @@
 """Livox's CustomMsg: header, a time base, and points packed one after the other.
 
-The message is read here, not by the type system, which would make an object of every point. Layout as
-published with livox_ros_driver, livox_ros_driver2 and livox_interfaces (they agree):
+The message is parsed here, since rosbags would make an object of every point. The layout is that published with
+livox_ros_driver, livox_ros_driver2 and livox_interfaces (they agree):
 
     std_msgs/Header header; uint64 timebase; uint32 point_num; uint8 lidar_id; uint8[3] rsvd; CustomPoint[] points
     CustomPoint: uint32 offset_time; float32 x, y, z; uint8 reflectivity, tag, line
@@ -27,7 +27,7 @@ DEFINITIONS = {
     "CustomPoint[] points\n",
     "CustomPoint": "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line\n",
 }
-"""The same as message definitions: what a bag must say of these types."""
+"""The layout as message definitions, which a bag must state for these types."""
 
 _POINT = [
     ("offset_time", "u4"), ("x", "f4"), ("y", "f4"), ("z", "f4"), ("reflectivity", "u1"), ("tag", "u1"), ("line", "u1"),
@@ -37,9 +37,9 @@ _POINT = [
 def livox_columns(data: bytes, cdr: bool, name: str) -> tuple[float, Columns]:
     """Return the stamp, seconds, and the points of a serialised CustomMsg.
 
-    `offset_time` comes out in nanoseconds since the header's stamp; the message counts from its time base, which the
-    driver sets to the stamp or near it. `line` is the laser of a pattern without rings, `tag` what the sensor says of a
-    return.
+    `offset_time` is returned in nanoseconds since the header's stamp; the message counts from its time base, which the
+    driver sets to the stamp or near it. `line` is the laser, of a pattern without rings; `tag` is the sensor's rating
+    of a return.
 
     Args:
         data: the serialised message.

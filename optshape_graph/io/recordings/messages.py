@@ -1,4 +1,4 @@
-"""ROS messages to stamped values, by message type.
+"""Stamped values of ROS messages, by message type.
 
 The types are the standard ones, compiled from definitions that ship with rosbags and from those below. The
 definitions embedded in a bag are compared with them and never compiled: reading a bag runs no code of the bag.
@@ -37,7 +37,7 @@ IMAGES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"})
 CAMERAS = frozenset({"sensor_msgs/msg/CameraInfo"})
 
 SAME_CLOCK = 10.0
-"""Times of points further than this from the scan's stamp, seconds, are of another clock."""
+"""Times of points further than this from the scan's stamp, seconds, come from another clock."""
 
 
 @cache
@@ -90,7 +90,7 @@ def read_message(ros: int, msgtype: str, data: bytes) -> Any:
     store = type_store(ros)
     try:
         return store.deserialize_ros1(data, msgtype) if ros == 1 else store.deserialize_cdr(data, msgtype)
-    except Exception as error:  # what a generated parser raises on arbitrary bytes is not a closed set
+    except Exception as error:  # a generated parser may raise anything on arbitrary bytes
         raise BadMessage("truncated or malformed", f"{len(data)} bytes: {error}") from error
 
 
@@ -102,8 +102,8 @@ def decode_scan(
     The layouts of drivers differ in what they call ring and time, and in type, unit and direction of both:
     Velodyne `ring`, `time` (float32, s since the stamp); Ouster `ring` from the top, `t` (uint32, ns since the
     stamp), organised; Hesai `ring`, `timestamp` (float64, epoch s); RoboSense the same; Livox no ring, `timestamp`
-    (float64, epoch ns) or `offset_time` (uint32, ns). `make_scan` tells them apart. Times of a clock that is not the
-    stamp's count from the first point. `unused` counts the names of fields that the scan does not have.
+    (float64, epoch ns) or `offset_time` (uint32, ns). `make_scan` tells them apart. Times of another clock than
+    the stamp's count from the first point. `unused` counts fields, by name, that do not go into the scan.
     """
     if msgtype in livox.TYPES:
         stamp, columns = livox.livox_columns(data, ros == 2, name)
@@ -151,7 +151,7 @@ def decode_pose(ros: int, msgtype: str, data: bytes) -> Stamped[Floats]:
 
 
 def decode_path(ros: int, data: bytes) -> list[Stamped[Floats]]:
-    """Return the poses of a Path (4, 4), each with its own stamp, in order of time; those of one stamp once.
+    """Return the poses (4, 4) of a Path, each with its own stamp, in order of time; one pose for each stamp.
 
     Raises:
         BadMessage: no poses, or poses without stamps: a plan, not a trajectory.
@@ -178,7 +178,7 @@ def frames_of(transform: Any) -> tuple[str, str]:
 
 
 def frame_of(message: Any, kind: Kind) -> str:
-    """Return the frame that a scan is in, or that a pose is of; empty where the message does not say."""
+    """Return the frame of a scan, or the frame whose pose a message has; empty if it is not stated."""
     frame = message.header.frame_id if kind == "scan" else getattr(message, "child_frame_id", "")
     return str(frame).lstrip("/")
 
@@ -224,7 +224,7 @@ TYPES: dict[Kind, frozenset[str]] = {
     "camera": CAMERAS,
     "pose": POSES | {PATH},
 }
-"""Kind of topic: the message types of it."""
+"""Message types by the kind of topic."""
 
 
 def kind_of(msgtype: str) -> Kind:

@@ -24,7 +24,7 @@ from optshape_graph.sensor import SensorModel
 VELODYNE = "velodyne_msgs/msg/VelodyneScan"
 
 OUSTER = frozenset({"ouster_ros/msg/PacketMsg", "ouster_msgs/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg"})
-"""Messages of an Ouster's packets, returns and inertial ones alike; they are decoded with the unit's metadata."""
+"""Messages of an Ouster's packets, with returns or inertial data; they are decoded with the unit's metadata."""
 
 DEFINITIONS = {
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data\n",
@@ -34,17 +34,17 @@ DEFINITIONS = {
 """Messages of packets, as the drivers publish them (ros-drivers/velodyne, velodyne_msgs; ouster-lidar/ouster-ros)."""
 
 PACKET_BYTES = 1206
-"""Of a Velodyne's packet of returns."""
+"""Size of a Velodyne's packet of returns."""
 
 LARGEST_PACKET = 262_144
 """Bytes that a captured packet has at most (libpcap's MAXIMUM_SNAPLEN)."""
 
 SURVEYED = 500
-"""Packets at the beginning that tell who sends them."""
+"""So many packets at the beginning tell which LiDAR sends them."""
 
 
 def is_capture(path: Path) -> bool:
-    """Say whether a file is captured packets: pcap or pcapng, by its first bytes."""
+    """Return whether a file is captured packets, pcap or pcapng, by its first bytes."""
     return path.is_file() and form_of_head(read_head(path, 64)) == "packets"
 
 
@@ -90,14 +90,14 @@ class Capture:
 
     @cached_property
     def _metadata(self) -> Path | None:
-        """The metadata of an Ouster beside the file."""
+        """The file with an Ouster's metadata beside the capture."""
         return metadata_beside(self.path)
 
     def read(self, topic: Topic, skipped: Skipped, sensor: SensorModel | None = None) -> Iterator[Stamped[Any]]:
-        """Yield the scans, a revolution each.
+        """Yield the scans, one for each revolution.
 
         Raises:
-            InputError: the file is damaged, or of a sensor whose model the packets do not tell.
+            InputError: the file is damaged, or the packets do not tell the sensor's model.
             MissingExtraError: the decoder is absent.
         """
         scans = self._ouster() if topic.type.startswith("Ouster") else self._velodyne()
@@ -127,11 +127,11 @@ class Capture:
 
 
 def decode_ouster(metadata: str, payloads: Iterable[bytes], name: str) -> Iterator[tuple[float, Columns]]:
-    """Yield stamp, seconds, and points of each revolution in an Ouster's packets; the last may be a part of one.
+    """Yield stamp, seconds, and points of each revolution in an Ouster's packets; the last may be incomplete.
 
     Args:
         metadata: of the unit, JSON as the sensor gives it.
-        payloads: packets, those of other kinds among them.
+        payloads: packets, which may include other kinds.
         name: of the clouds, for messages.
 
     Raises:
@@ -152,7 +152,7 @@ def decode_ouster(metadata: str, payloads: Iterable[bytes], name: str) -> Iterat
                 frame = core.LidarFrame(info)
     except (InputError, GeneratorExit):
         raise
-    except Exception as error:  # of the decoder: not a closed set
+    except Exception as error:  # the decoder may raise anything
         raise InputError(f"{name}: Ouster packets that cannot be decoded: {error}") from error
     if np.asarray(frame.timestamp).any():
         yield ouster_columns(core, frame, name)
@@ -203,7 +203,7 @@ def decode_velodyne(message: Any, name: str, sensor: SensorModel | None) -> Stam
     try:
         stamp, points = library.ScanDecoder(library.Config()).decode(packets, True)
         return Stamped(float(stamp.host), make_scan(_columns(points, name), sensor))
-    except Exception as error:  # of the decoder: not a closed set; or no scan
+    except Exception as error:  # the decoder may raise anything; or no scan
         raise BadMessage("not a scan", str(error)) from error
 
 
@@ -214,12 +214,12 @@ def _columns(points: Any, name: str) -> Columns:
 def _decoded(name: str, decode: Any) -> Any:
     try:
         return decode()
-    except Exception as error:  # of the decoder: not a closed set
+    except Exception as error:  # the decoder may raise anything
         raise InputError(f"{name}: packets that cannot be decoded: {error}") from error
 
 
 class _Packets(io.BufferedReader):
-    """A capture whose reader is not given room for more than a packet: a damaged length may say 4 GB."""
+    """A capture that refuses to read more than a packet at once: a damaged length may state 4 GB."""
 
     def read(self, size: int | None = -1) -> bytes:
         if size is None or not 0 <= size <= LARGEST_PACKET:
@@ -237,7 +237,7 @@ def _payloads(path: Path) -> Iterator[tuple[float, bytes]]:
                 stamp, payload = next(packets)
             except StopIteration:
                 return
-            except Exception as error:  # of dpkt on damaged bytes: not a closed set
+            except Exception as error:  # dpkt may raise anything on damaged bytes
                 raise InputError(f"{path}: captured packets that are damaged: {error}") from error
             yield float(stamp), bytes(payload)
 

@@ -16,8 +16,8 @@ FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8
 def point_columns(message: Any, name: str) -> Columns:
     """Return the scalar fields of a sensor_msgs/PointCloud2, each (height * width,).
 
-    They are of the type and byte order in which they were sent. Fields of several values (descriptors), those of an
-    unknown type and those outside of the point are left out, and named; unnamed ones (padding) are left out.
+    They keep the type and byte order in which they were sent. Fields of several values (descriptors), of an unknown
+    type or outside the point are left out, and their names are kept; unnamed fields (padding) are left out.
 
     Args:
         message: the deserialised message.

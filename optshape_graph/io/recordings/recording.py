@@ -1,4 +1,4 @@
-"""A recording: topics of scans, images, camera parameters and poses, whatever file they are in."""
+"""A recording: topics of scans, images, camera parameters and poses, in files of any form."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
 
 SURVEYED = 10
-"""Number of scans at the beginning that say whether a topic has rings."""
+"""So many scans at the beginning tell whether a topic has rings."""
 
 
 class Recording:
     """A ROS 1 or ROS 2 bag, an mcap file, captured packets, or a folder of clouds with timestamps.
 
-    A topic left out is the only one of its kind. Streams read as they are iterated, one message at a time.
+    A topic need not be named if it is the only one of its kind. Streams read one message at a time while iterated.
 
     Attributes:
         path: what it was opened from.
@@ -53,7 +53,7 @@ class Recording:
 
     @property
     def topics(self) -> tuple[Topic, ...]:
-        """All topics, also those of kinds that are not read."""
+        """All topics, including those that are not read."""
         return self._source.topics
 
     @property
@@ -62,11 +62,11 @@ class Recording:
         return self._source.span if isinstance(self._source, Bag) else None
 
     def mounting_frame(self, scan_topic: str | None = None) -> str:
-        """Return the frame that the scans of a topic are in; empty where the recording does not say."""
+        """Return the frame of a topic's scans; empty if the recording does not state it."""
         return self._source.frame(self.topic("scan", scan_topic)) if isinstance(self._source, Bag) else ""
 
     def static_transforms(self) -> dict[tuple[str, str], Floats]:
-        """Return T_parent_child (4, 4), by names of parent and child; empty where the recording has none."""
+        """Return T_parent_child (4, 4) of static transforms, by names of parent and child; empty if there are none."""
         return self._source.static_transforms() if isinstance(self._source, Bag) else {}
 
     def topic(self, kind: Kind, name: str | None = None) -> Topic:
@@ -91,7 +91,7 @@ class Recording:
     def scans(self, topic: str | None = None, sensor: SensorModel | None = None) -> Stream[Scan]:
         """Return the scans of a topic.
 
-        A scan without rings in a topic that has them is skipped: it was not made like the others.
+        A scan without rings in a topic that has rings is skipped.
 
         Args:
             topic: its name; None: the only one.
@@ -133,11 +133,11 @@ class Recording:
     def camera_of(self, image_topic: str) -> CameraIntrinsics:
         """Return the first intrinsics of the camera whose images are on a topic.
 
-        They are on `camera_info` beside it, as camera drivers do it, or on the only topic of their kind.
+        They are on `camera_info` beside that topic, as camera drivers publish them, or on the only topic of their kind.
 
         Raises:
-            InputError: no such topic, no usable message on it, or images that are rectified, to which what drivers
-                publish does not apply.
+            InputError: no such topic, no usable message on it, or rectified images, to which published intrinsics do
+                not apply.
         """
         if "/image_rect" in image_topic:
             raise InputError(f"{self.path}: images on {image_topic} are rectified; camera_info is of the raw ones")
@@ -153,7 +153,7 @@ class Recording:
 
 
 def _like_the_first(scans: Iterator[Stamped[Scan]], skipped: Skipped, where: str) -> Iterator[Stamped[Scan]]:
-    """Yield scans; if any of the first `SURVEYED` has rings, only those that have."""
+    """Yield scans; only those with rings, if any of the first `SURVEYED` has rings."""
     first = list(itertools.islice(scans, SURVEYED))
     rings = any(scan.value.ring is not None for scan in first)
     for scan in itertools.chain(first, scans):

@@ -27,7 +27,7 @@ from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 Track = Callable[[Iterable[Any], str, int | None], Iterable[Any]]
-"""Passes items on while it shows progress: items, what is done with them, how many there are (None: unknown)."""
+"""Yields items while it shows progress; arguments: items, what is done with them, their number (None: unknown)."""
 
 
 @dataclass
@@ -37,7 +37,7 @@ class View:
     Attributes:
         number: names its files and its marker frame.
         stamp: of its scan, seconds.
-        document: what the session file says of it.
+        document: its entry in the session file.
     """
 
     number: int

@@ -1,4 +1,4 @@
-"""Streams of stamped values: what cannot be used is skipped with a reason and counted; what of two belongs together."""
+"""Streams of stamped values in order of time, what cannot be used being counted; pairs of values of two streams."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ LOOKAHEAD = 8
 """Number of following stamps that decide whether a stamp is in order."""
 
 SETTLED = 4
-"""Number of following stamps that tell a clock that was set back from a message that is late."""
+"""So many following stamps tell whether the clock was set back, or one message is late."""
 
 SET_BACK = 1.0
-"""Seconds by which a clock is set at least, to be followed: topics of different rates must agree on it."""
+"""A clock is followed if it was set by at least so many seconds, on which topics of different rates agree."""
 
 AGREE = 0.5
-"""Seconds that messages may take to the recorder one longer than another, if its clock is to tell of a jump."""
+"""The recorder's clock tells of a jump if no message took so many seconds longer to reach it than another."""
 
 ROUNDING = 1e-6
-"""Stamps of an epoch in seconds are rounded to a quarter of this, as 64-bit floats."""
+"""Seconds since 1970 as 64-bit floats are rounded to a quarter of this."""
 
 log = logging.getLogger(__name__)
 
@@ -38,7 +38,7 @@ class BadMessage(Exception):  # noqa: N818 - it is caught where it is counted, a
     """A message that cannot be used.
 
     Attributes:
-        reason: a few words without numbers: what is counted.
+        reason: a few words without numbers, by which messages are counted.
         detail: what was found in this message, for the log.
     """
 
@@ -50,7 +50,7 @@ class BadMessage(Exception):  # noqa: N818 - it is caught where it is counted, a
 
 @dataclass(frozen=True)
 class Stamped(Generic[T]):
-    """A value and when it was measured.
+    """A value and the time at which it was measured.
 
     Attributes:
         stamp: seconds, of the clock that stamped the message's header.
@@ -90,11 +90,11 @@ class Skipped(Counter[str]):
 
 @dataclass(frozen=True)
 class Jump:
-    """A clock was set while it was recorded.
+    """A jump of a clock that was set during the recording.
 
     Attributes:
-        stamp: what it showed before, seconds.
-        seconds: by how much it was set back; negative: forward.
+        stamp: the time before, seconds.
+        seconds: by how much the clock was set back; negative: forward.
     """
 
     stamp: float
@@ -109,11 +109,11 @@ class Stream(Generic[T]):
 
     Attributes:
         name: the file and topic, for messages.
-        expected: number of messages that the recording says there are, or None.
-        follow: whether a clock that is set is followed, later stamps being those that it would have shown; otherwise
-            messages from then on are skipped until it is where it was, or are as late as it says.
+        expected: number of messages that the recording states, or None.
+        follow: whether a clock that was set is followed: later stamps are made those of the clock before. Otherwise
+            messages are skipped until the clock shows later times again, or are as late as it shows.
         skipped: number of messages skipped by reason, of the latest iteration.
-        jumps: of the clock that were followed, of the latest iteration.
+        jumps: jumps of the clock that were followed, of the latest iteration.
     """
 
     def __init__(
@@ -136,20 +136,20 @@ class Stream(Generic[T]):
         return in_order(followed(items, self.jumps) if self.follow else items, self.skipped, self.name)
 
     def following(self) -> Stream[T]:
-        """Return the same stream, a clock that is set followed."""
+        """Return the same stream, with a clock that was set followed."""
         return Stream(self.name, self._read, self.expected, follow=True)
 
 
 def followed(items: Iterable[Stamped[T]], jumps: list[Jump]) -> Iterator[Stamped[T]]:
-    """Yield the items, stamped as if their clock had not been set: it went on by its usual step.
+    """Yield the items, stamped as if their clock had gone on by its usual step instead of being set.
 
-    It was set back where a stamp and those that follow, in order, lie before what it has shown, by a second or more. It
-    was set forward where they are later by a second or more, and not by the recorder's clock: by stamps alone a pause
-    looks the same.
+    The clock was set back where a stamp, and those after it in order, lie a second or more before the latest one. It was
+    set forward where they lie a second or more later, but not by the recorder's clock: stamps alone do not tell a jump
+    from a pause.
 
     Args:
         items: in the order of recording.
-        jumps: to add those to that were followed.
+        jumps: a list to which the followed jumps are added.
     """
     window: deque[Stamped[T]] = deque()
     recent: deque[Stamped[T]] = deque(maxlen=LOOKAHEAD + 1)  # as they were yielded
@@ -202,9 +202,8 @@ def _set_back(before: Sequence[Stamped[T]], run: Sequence[Stamped[T]]) -> float 
 def in_order(items: Iterable[Stamped[T]], skipped: Skipped, where: str) -> Iterator[Stamped[T]]:
     """Yield the items whose stamps increase strictly, leaving out as few as possible.
 
-    A message with a wrong stamp must cost itself only: one stamped in the far future must not make all that
-    follow look late. So a message is kept if the longest increasing run of stamps among it and the next
-    `LOOKAHEAD` is no shorter with it than without it.
+    A message with a stamp in the far future must not make all later messages look late. So a message is kept if the
+    longest increasing run of stamps, among it and the next `LOOKAHEAD`, is no shorter with it than without it.
     """
     last = float("-inf")
     window: deque[Stamped[T]] = deque()
@@ -231,13 +230,13 @@ def in_order(items: Iterable[Stamped[T]], skipped: Skipped, where: str) -> Itera
 
 
 def _ahead_of_the_rest(stamp: float, following: list[float], last: float) -> bool:
-    """Say whether keeping `stamp` costs more of the following stamps than it is worth."""
+    """Return whether keeping `stamp` would leave out more of the following stamps than leaving it out."""
     kept = 1 + _longest_increasing(later for later in following if later > stamp)
     return kept < _longest_increasing(later for later in following if later > last)
 
 
 def _longest_increasing(stamps: Iterable[float]) -> int:
-    """Length of the longest strictly increasing subsequence (patience sorting)."""
+    """Return the length of the longest strictly increasing subsequence (patience sorting)."""
     smallest_end: list[float] = []
     for stamp in stamps:
         k = bisect_left(smallest_end, stamp)
@@ -246,7 +245,7 @@ def _longest_increasing(stamps: Iterable[float]) -> int:
 
 
 def nearest(stamps: Floats, others: Floats) -> Ints:
-    """(N,) index of the stamp among `others` (M,), increasing and not empty, that is nearest to each of `stamps`."""
+    """Return, for each of `stamps` (N,), the index of the nearest of `others` (M,), increasing and not empty."""
     after = np.searchsorted(others, stamps).clip(1, max(len(others) - 1, 1))
     if len(others) == 1:
         return np.zeros(len(stamps), dtype=np.int64)
@@ -254,7 +253,7 @@ def nearest(stamps: Floats, others: Floats) -> Ints:
 
 
 def pair(stamps: Floats, others: Floats, tolerance: float) -> Ints:
-    """Pair each stamp with the nearest of the others, if it is that one's nearest too and not too far.
+    """Pair each stamp with the nearest of the others, if each is the other's nearest and they are not too far apart.
 
     Args:
         stamps: (N,) seconds, increasing.
@@ -273,7 +272,7 @@ def pair(stamps: Floats, others: Floats, tolerance: float) -> Ints:
 
 
 def spaced(stamps: Floats, interval: float) -> np.ndarray:
-    """(N,) whether to keep each stamp so that kept ones are at least `interval` apart, the first being kept."""
+    """Return (N,) whether to keep each stamp, the first included, so that they are `interval` seconds or more apart."""
     keep = np.zeros(len(stamps), dtype=bool)
     last = -np.inf
     for k, stamp in enumerate(stamps):

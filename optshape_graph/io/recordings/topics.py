@@ -1,4 +1,4 @@
-"""Topics of a recording and the choice of one; the frames that topics are in, linked by static transforms."""
+"""Topics of a recording, the choice of one, and the static transforms between the frames of topics."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Topic:
         name: as recorded; a transform of a tf topic is called TOPIC:PARENT:CHILD.
         kind: what it holds.
         type: message type, or the suffix of its files.
-        count: number of messages, or None where only reading tells.
+        count: number of messages; None: only reading tells.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Topic:
 def choose(topics: Sequence[Topic], kind: Kind, name: str | None, path: Path) -> Topic:
     """Return the topic of that kind with that name, or the only one of that kind.
 
-    Transforms are candidates only where no topic of pose messages is: nearly every robot publishes several.
+    Transforms are candidates only if there is no topic of pose messages, since nearly every robot publishes several.
 
     Raises:
         InputError: no such topic, or several and no name; the message lists them.
@@ -63,12 +63,12 @@ def listed(topics: Sequence[Topic]) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mounting(Value):
-    """The LiDAR on the body that moves.
+    """The place of the LiDAR on the body that moves.
 
     Attributes:
-        body: frame that the poses are of; empty: the recording does not say.
-        lidar: frame of the scans; empty: the recording does not say.
-        T_body_lidar: (4, 4); None: the recording does not say.
+        body: frame whose poses are recorded; empty: not stated.
+        lidar: frame of the scans; empty: not stated.
+        T_body_lidar: (4, 4); None: not stated.
     """
 
     body: str
@@ -77,7 +77,7 @@ class Mounting(Value):
 
 
 def chained(static: Mapping[tuple[str, str], Floats], a: str, b: str) -> Floats | None:
-    """Return T_a_b (4, 4), by way of static transforms T_parent_child, or None where none lead from a to b.
+    """Return T_a_b (4, 4) through static transforms T_parent_child; None: they do not lead from a to b.
 
     Args:
         static: T_parent_child (4, 4) by names of parent and child.
