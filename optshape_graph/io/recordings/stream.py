@@ -143,9 +143,9 @@ class Stream(Generic[T]):
 def followed(items: Iterable[Stamped[T]], jumps: list[Jump]) -> Iterator[Stamped[T]]:
     """Yield the items, stamped as if their clock had gone on by its usual step instead of being set.
 
-    The clock was set back where a stamp, and those after it in order, lie a second or more before the latest one. It was
-    set forward where they lie a second or more later, but not by the recorder's clock: stamps alone do not tell a jump
-    from a pause.
+    The clock was set back where a stamp, and those after it in order, lie a second or more before the latest one. It
+    was set forward where they lie a second or more later, but not by the recorder's clock: stamps alone do not tell a
+    jump from a pause.
 
     Args:
         items: in the order of recording.
