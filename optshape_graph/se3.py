@@ -286,10 +286,12 @@ def _fifth(theta: Floats) -> Floats:
 def _series(theta: Floats, coefficient: Callable[[int], float], closed: Callable[[Floats], Floats]) -> Floats:
     """Sum (-1)^k c_k theta^(2 k) below the small angle, and the closed form above it, as (..., 1, 1)."""
     small = theta < _SMALL_ANGLE
-    squared, summed = np.square(np.where(small, theta, 0.0)), 0.0
+    squared, value = np.square(np.where(small, theta, 0.0)), np.zeros_like(theta)
     for k in reversed(range(_TERMS)):
-        summed = (-1) ** k * coefficient(k) + squared * summed
-    return np.asarray(np.where(small, summed, closed(np.where(small, np.pi, theta))))[..., None, None]
+        value = (-1) ** k * coefficient(k) + squared * value
+    if not small.all():
+        value = np.where(small, value, closed(np.where(small, np.pi, theta)))
+    return np.asarray(value)[..., None, None]
 
 
 def _inverse_left_jacobian(w: Floats) -> Floats:

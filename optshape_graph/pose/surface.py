@@ -30,7 +30,8 @@ OUTLYING = 4.0
 FEWEST_OF_RIM = 10
 """Returns on the rim and inside from which on the two are compared."""
 
-_HINGES = [(a, d) for a in np.radians(np.arange(0.0, 180.0, 22.5)) for d in (-0.6, -0.2, 0.2, 0.6)]
+_ANGLES = np.radians(np.arange(0.0, 180.0, 22.5))
+_ACROSS, _AWAY = np.array([np.cos(_ANGLES), np.sin(_ANGLES)]), np.array([-0.6, -0.2, 0.2, 0.6])  # of hinges
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -122,7 +123,7 @@ class PlaneResiduals(Value):
     def surface(self, seen: float) -> Surface:
         """Look for a bend and for a fold: of a probability below `seen`, or of no size."""
         bend_p, _, bend = self.beyond(3, self.terms[:, 3:]).together()
-        hinges = np.column_stack([np.abs(self.yz @ [np.cos(a), np.sin(a)] - d) for a, d in _HINGES])
+        hinges = np.abs((self.yz @ _ACROSS)[:, :, None] - _AWAY).reshape(len(self.yz), -1)
         fold_p, fold = self.beyond(3, hinges).best()
         shape, p, size = ("bend", bend_p, bend) if bend_p <= fold_p else ("fold", fold_p, fold)
         return Surface(shape, size if p < seen else 0.0, p)
@@ -249,9 +250,11 @@ def second_order(yz: Floats) -> Floats:
 
 def whitened_gram(columns: Floats, ring: Ints, noise: float, bias: float) -> Floats:
     """(K, K) Gram matrix of columns (N, K), each less a share of its means over rings (N,): see the module."""
-    counts = np.maximum(np.bincount(ring), 1)
+    order = np.argsort(ring, kind="stable")
+    starts = np.flatnonzero(np.diff(ring[order], prepend=-1))
+    counts = np.diff(starts, append=len(ring))
     share = 1.0 - noise / np.sqrt(noise**2 + counts * bias**2)
-    sums = np.array([np.bincount(ring, column) for column in columns.T]).T
+    sums = np.add.reduceat(columns[order], starts, axis=0)
     return np.asarray(columns.T @ columns - sums.T @ (((2 - share) * share / counts)[:, None] * sums))
 
 

@@ -17,7 +17,6 @@ pytestmark = pytest.mark.benchmark
 
 OPTIONS = DetectionOptions()
 REVOLUTION_S = 0.1
-NOT_YET = pytest.mark.xfail(reason="a target that is not met yet: one pose costs most of it", strict=False)
 CORES = 2
 
 
@@ -83,7 +82,6 @@ def revolution(sensor: str, targets: int, boxes: int = 0):
     return scan_of(load_sensor(sensor), placed, *things).scan, placed
 
 
-@NOT_YET
 @pytest.mark.parametrize(("sensor", "most"), [("vlp16", 45), ("vlp32c", 45), ("os1-128", 60)])
 def test_six_targets_in_a_revolution(sensor: str, most: float) -> None:
     scan, placed = revolution(sensor, 6)
@@ -98,7 +96,6 @@ def test_six_targets_in_a_revolution(sensor: str, most: float) -> None:
     assert ratio <= most
 
 
-@NOT_YET
 def test_one_target_of_128_rings() -> None:
     scan, placed = revolution("os1-128", 1)
     ratio = seconds(lambda: detect_targets(scan, placed[0][0]), 5) / bare_sdp()
@@ -106,7 +103,6 @@ def test_one_target_of_128_rings() -> None:
     assert ratio <= 15
 
 
-@NOT_YET
 def test_eight_shapes_against_one() -> None:
     scan, _ = revolution("vlp32c", 6)
     names = ("paper", "square", "triangle", "diamond", "optimal", "optimal3", "optimal5", "built")

@@ -26,7 +26,7 @@ SET_BACK = 1.0
 """A clock is followed if it was set by at least so many seconds, on which topics of different rates agree."""
 
 AGREE = 0.5
-"""The recorder's clock tells of a jump if no message took so many seconds longer to reach it than another."""
+"""Seconds by which the ways of messages to the recorder may differ, if its clock is to tell of a jump."""
 
 ROUNDING = 1e-6
 """Seconds since 1970 as 64-bit floats are rounded to a quarter of this."""
@@ -111,7 +111,7 @@ class Stream(Generic[T]):
         name: the file and topic, for messages.
         expected: number of messages that the recording states, or None.
         follow: whether a clock that was set is followed: later stamps are made those of the clock before. Otherwise
-            messages are skipped until the clock shows later times again, or are as late as it shows.
+            messages are skipped until the clock shows later times again, and stamps that it was set forward stay.
         skipped: number of messages skipped by reason, of the latest iteration.
         jumps: jumps of the clock that were followed, of the latest iteration.
     """
@@ -144,8 +144,8 @@ def followed(items: Iterable[Stamped[T]], jumps: list[Jump]) -> Iterator[Stamped
     """Yield the items, stamped as if their clock had gone on by its usual step instead of being set.
 
     The clock was set back where a stamp, and those after it in order, lie a second or more before the latest one. It
-    was set forward where they lie a second or more later, but not by the recorder's clock: stamps alone do not tell a
-    jump from a pause.
+    was set forward where they lie a second or more after it and, by the recorder's clock, should not: by stamps alone
+    a pause looks the same.
 
     Args:
         items: in the order of recording.
