@@ -2,8 +2,9 @@
 
 Sections III and IV of Huang, Clark and Grizzle, "Optimal Target Shape for LiDAR Pose Estimation", corrected: `family`
 makes candidates, `rings` lights them, `sensitivity` scores them, `problem` and `multistart` find the best within
-`limits`; `bound` says how well a pose can be known, and `pose_search` finds the shape for that. `judgement` compares
-shapes; `drawing`, `patterns` and `formats` draw one at 1:1, `parts` lists what it takes, `measured` corrects a print.
+`limits`; `bound` bounds the error of a pose, and `pose_search` finds the shape with the smallest. `judgement` compares
+shapes; `drawing`, `patterns` and `formats` draw one at 1:1, `parts` lists what to build it from, and `measured`
+corrects a target by its measured sides.
 """
 
 from optshape_graph.design.bound import PoseBound, covariance_bound, pose_bound

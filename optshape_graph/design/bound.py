@@ -1,12 +1,15 @@
 """The Cramer-Rao bound on a target's pose, for a sensor and a placement.
 
-No unbiased estimate that knows which ring end is on which edge has a smaller covariance. The noise is what the sensor
-does: a ring's end is known along the ring to a uniform quantiser of one azimuth step, variance (s step)^2 / 12 with s
-the in-plane metres per radian (taken as Gaussian of that variance: the uniform distribution itself has no bound);
-which part of the beam decides moves it across the edge, by something of its own and by something that all ends share,
-each uniform over the beam's width w and of variance w^2 / 12; ranges have noise; and each ring a bias of its own. What
-rings or ends share does not average away. Azimuths that are themselves measured with noise move every point along its
-ring. Elevations with noise cost nothing: the sensor's table has the true ones.
+No unbiased estimate that knows which ring end is on which edge has a smaller covariance. The noise is that of the
+sensor:
+
+- A ring's end is quantised along the ring by an azimuth step: variance (s step)^2 / 12, with s the in-plane metres per
+  radian. It is taken for Gaussian of that variance, since the uniform distribution itself has no bound.
+- The beam's width w moves a ring's end across the edge, by an offset of its own and by one that all ends share, each
+  uniform over w, of variance w^2 / 12.
+- Ranges have noise, and each ring has a range bias. Errors that rings or ends share do not average away.
+- Noise of azimuths moves every point along its ring. Noise of elevations costs nothing: the sensor's table has the true
+  ones.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ TURN = 2 * np.pi
 
 @dataclass(frozen=True)
 class PoseBound:
-    """Bounds over placements: root mean squares of the errors, one number per placement reduced to two.
+    """Bounds on the root mean square errors over placements: the median and the worst placement.
 
     Attributes:
         distance: of the target, metres.
@@ -45,8 +48,8 @@ def pose_bound(target: Target, sensor: SensorModel, distance: float, turns: int 
     """Bound the pose error of a target that faces the sensor, over orientations and heights.
 
     Args:
-        target: the target, its area as it is.
-        sensor: the sensor; its azimuth step has to be known.
+        target: the target, of its own area.
+        sensor: the sensor, whose azimuth step must be known.
         distance: of the target's plane, metres.
         turns: orientations about the normal, evenly over a full turn.
         placements: heights of the centre within a gap between the two rings nearest to the horizon.
@@ -78,7 +81,7 @@ def covariance_bound(target: Target, sensor: SensorModel, T_lidar_target: Floats
 
     Args:
         target: the target.
-        sensor: the sensor; its azimuth step has to be known.
+        sensor: the sensor, whose azimuth step must be known.
         T_lidar_target: (..., 4, 4).
         azimuth_noise: standard deviation of the azimuth of a point, rad.
 
@@ -122,13 +125,13 @@ def pose_information(target: Target, sensor: SensorModel, T_lidar_target: Floats
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MeasuredRows(Value):
-    """What K rows of each of R rings say of B poses; the rows of a ring that misses the target weigh nothing.
+    """K measured rows of each of R rings for B poses; the rows of a ring that misses the target have weight 0.
 
     Attributes:
-        J: (B, R, K, 6) derivatives of what is measured to the pose's right perturbation.
-        weight: (B, R, K) one over the variance that is a row's own, times the number of returns that it stands for.
-        bias: (B, R, K) what one standard deviation of the ring's range bias moves.
-        shared: (B, R, K) what one standard deviation of the offset that all ring ends share moves.
+        J: (B, R, K, 6) derivatives of the measured numbers by the pose's right perturbation.
+        weight: (B, R, K) number of returns that a row stands for, over the variance of its own error.
+        bias: (B, R, K) change by one standard deviation of the ring's range bias.
+        shared: (B, R, K) change by one standard deviation of the offset that all ring ends share.
     """
 
     J: Floats
@@ -140,7 +143,7 @@ class MeasuredRows(Value):
 def measured_rows(target: Target, sensor: SensorModel, T: Floats, azimuth_noise: float = 0.0) -> MeasuredRows:
     """Return the rows of (B, 4, 4) poses: n for the ring's crossings with n edges, n + 1 for the returns between.
 
-    The returns of a ring lie on a nearly straight chord: Simpson's rule at its ends and middle has their moments.
+    The returns of a ring lie on a nearly straight chord, so Simpson's rule at its ends and middle gives their moments.
 
     Raises:
         InputError: the azimuth step is not known, or the sensor is not on the target's -x side.
@@ -168,7 +171,7 @@ def measured_rows(target: Target, sensor: SensorModel, T: Floats, azimuth_noise:
     azimuth = np.angle((p[:, :, :n, 0] + 1j * p[:, :, :n, 1]) * (t[:, 0] - 1j * t[:, 1])[:, None, None])
     span = np.where(hit, azimuth, -np.inf).max(axis=2) - np.where(hit, azimuth, np.inf).min(axis=2)
     returns = np.where(hit.any(axis=2), span, 0.0) / sensor.azimuth_step
-    # A ring over a chord shorter than a step returns at times only.
+    # A ring whose chord is shorter than a step returns only at times.
     ends = hit * np.minimum(returns, 1.0)[..., None]
     count = np.concatenate([ends, hit * returns[..., None] / 6.0, returns[..., None] * 4.0 / 6.0], axis=2)
 
@@ -184,7 +187,7 @@ def measured_rows(target: Target, sensor: SensorModel, T: Floats, azimuth_noise:
 
 
 def _crossings(target: Target, sensor: SensorModel, T: Floats) -> tuple[Bools, Floats]:
-    """(B, R, n) which rings cross which edges, and (B, R, n, 3) where, in the target frame: zeros where they don't.
+    """Return (B, R, n) which rings cross which edges, and (B, R, n, 3) where in the target frame; 0 if they don't.
 
     Only rings that cross an edge of some pose are listed.
     """
@@ -214,5 +217,5 @@ def _crossings(target: Target, sensor: SensorModel, T: Floats) -> tuple[Bools, F
 
 
 def _slope(p: Floats) -> Floats:
-    """Tangent of the elevation of points (..., 3)."""
+    """Return the tangent of the elevation of points (..., 3)."""
     return np.asarray(p[..., 2] / np.hypot(p[..., 0], p[..., 1]))

@@ -1,7 +1,7 @@
 """The workshop drawing of a target, as plain lines and texts in millimetres.
 
-It shows the face that the LiDAR sees: x to the viewer's right is -y of the target frame, y up is z. The mirror image
-of the vertex list, which is given as seen from the other side.
+It shows the face that the LiDAR sees: x to the viewer's right is -y of the target frame, y up is z. It is the mirror
+image of the vertex list, which is given as seen from the other side.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from optshape_graph.names import shown
 from optshape_graph.target import Target
 
 CHECK = 100.0
-"""Length of the bar by which a print is measured, mm."""
+"""Length of the bar that tells the scale of a print, mm."""
 
 
 def lidar_face(target: Target) -> Floats:
-    """(n, 2) vertices as the LiDAR sees them, mm, x right and y up, about the target's origin: clockwise."""
+    """Return the vertices (n, 2) as the LiDAR sees them, mm, x right and y up, about the target's origin; clockwise."""
     return np.asarray(target.polygon * np.array([-MM, MM]))
 
 
 def vertices_of(face: Floats) -> Floats:
-    """(n, 2) vertices (y, z) of the target frame, metres, of a drawn face: the inverse of `lidar_face`."""
+    """Return the vertices (n, 2), (y, z) of the target frame, metres, of a drawn face: the inverse of `lidar_face`."""
     return np.asarray(face / np.array([-MM, MM]))
 
 
 @dataclass(frozen=True)
 class Workshop:
-    """What a workshop is asked to mark and drill, millimetres; 0: nothing.
+    """Marks and holes that a workshop makes, millimetres; 0: none.
 
     Attributes:
         marker_inset: of a cross for a motion-capture marker, from each vertex inwards along its bisector.
@@ -56,13 +56,13 @@ class Workshop:
 
 
 def draw(target: Target, workshop: Workshop | None = None) -> Drawing:
-    """Draw the face of a target that the LiDAR sees: outline, what is printed on it, marks, holes and dimensions.
+    """Draw the face of a target that the LiDAR sees: outline, printed pattern, marks, holes and dimensions.
 
-    A printed pattern is kept clear of everything else, so that cameras find it.
+    Nothing else is drawn over a printed pattern, so that cameras find it.
 
     Args:
         target: the target.
-        workshop: what is to be marked and drilled, if anything.
+        workshop: marks and holes, if any.
 
     Raises:
         InputError: the pattern, a marker or a hole is not within the outline.
@@ -97,7 +97,7 @@ def draw(target: Target, workshop: Workshop | None = None) -> Drawing:
 
 
 def diagonals(target: Target) -> list[tuple[int, int]]:
-    """Return the pairs of vertices whose distances check a cut; of a polygon with many sides, the farthest pair."""
+    """Return the pairs of vertices whose distances check a cut: the farthest pair, if there are many sides."""
     n, face = len(target), target.polygon
     pairs = [(i, j) for i in range(n) for j in range(i + 2, n) if (i, j) != (0, n - 1)]
     if n > 6:
@@ -159,7 +159,7 @@ def _centre(h: float, lines: list[Polyline]) -> None:
 
 
 def _up(at: Floats, h: float, lines: list[Polyline], texts: list[Text]) -> None:
-    """Say which way is up, above a point."""
+    """Mark which way is up, above a point."""
     tip = 8.0 * h
     lines.append(Polyline(at + np.array([[0.0, 3 * h], [0.0, tip]]), Layer.MARK, name="up"))
     lines.append(Polyline(at + np.array([[-0.6 * h, tip - 1.5 * h], [0.0, tip], [0.6 * h, tip - 1.5 * h]]), Layer.MARK))
@@ -197,7 +197,7 @@ def _circle(centre: Floats, radius: float) -> Floats:
 
 
 def _title(target: Target, face: Floats, h: float, below: bool, texts: list[Text]) -> None:
-    """Write the title; below: what is to be known, too, that would cover the pattern."""
+    """Write the title; `below` the drawing also the texts that would cover the pattern."""
     x = float(centroids(face)[0])
     y = float(face[:, 1].min()) - 3.8 * h
     facing = (x, y - 4.8 * h) if below else (0.0, -4.0 * h)
@@ -210,7 +210,7 @@ def _title(target: Target, face: Floats, h: float, below: bool, texts: list[Text
 
 
 def _check_bar(low: Floats, h: float, lines: list[Polyline], texts: list[Text]) -> None:
-    """Draw a bar of known length, by which a print is measured."""
+    """Draw a bar of known length, which tells the scale of a print."""
     x, y = float(low[0]), float(low[1]) - 6.4 * h
     bar = np.array([[0.0, h / 2], [0.0, -h / 2], [0.0, 0.0], [CHECK, 0.0], [CHECK, h / 2], [CHECK, -h / 2]])
     lines.append(Polyline(bar + np.array([x, y]), Layer.DIMENSION, name="check-bar"))
@@ -218,13 +218,13 @@ def _check_bar(low: Floats, h: float, lines: list[Polyline], texts: list[Text]) 
 
 
 def _text(at: Floats, text: str, layer: Layer, height: float, along: Floats | None = None) -> Text:
-    """Make a text along a direction, turned so that it is not upside down."""
+    """Return a text along a direction, not upside down."""
     angle = 0.0 if along is None else float(np.arctan(along[1] / along[0])) if along[0] else np.pi / 2
     return Text((float(at[0]), float(at[1])), text, layer, float(height), angle)
 
 
 def _bisector(face: Floats, k: int) -> Floats:
-    """(2,) unit vector out of the polygon at vertex k, halfway between its edges."""
+    """Return the unit vector (2,) out of the polygon at vertex k, halfway between its edges."""
     arms = face[[k - 1, (k + 1) % len(face)]] - face[k]
     inward = (arms / np.linalg.norm(arms, axis=1, keepdims=True)).sum(axis=0)
     return np.asarray(-inward / np.linalg.norm(inward))

@@ -7,9 +7,9 @@ P = H_S H_SH H_SC H_E (similarity, shear, scaling, elation) with unit scale and 
     lambda  scaling: lambda along the first axis, 1 / lambda along the second
     v1, v2  elation: the last row of P is (v1, v2, 1)
 
-The image of the nominal polygon's centre stays at the origin: for a quadrilateral, the crossing of its diagonals.
-Every convex quadrilateral and every triangle is in the family up to similarity; of the n-gons with n > 4 it holds
-those that one projective map makes regular.
+The image of the nominal polygon's centre stays at the origin; for a quadrilateral that is the crossing of its
+diagonals. The family has, up to similarity, every convex quadrilateral and every triangle, and those n-gons with n > 4
+that some projective map makes regular.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class Family:
 
 
 def linear_parts(parameters: Floats) -> Floats:
-    """(B, 2, 2) R(theta) [1 k; 0 1] diag(lambda, 1 / lambda) of (B, 5) parameters."""
+    """Return R(theta) [1 k; 0 1] diag(lambda, 1 / lambda) (B, 2, 2) of parameters (B, 5)."""
     theta, k, scale = parameters[:, 0], parameters[:, 1], parameters[:, 2]
     c, s = np.cos(theta), np.sin(theta)
     rows = [[c * scale, (c * k - s) / scale], [s * scale, (s * k + c) / scale]]
@@ -126,7 +126,7 @@ def linear_parts(parameters: Floats) -> Floats:
 
 
 def _homography(source: Floats, image: Floats, affine: bool) -> Floats:
-    """(3, 3) P with P33 = 1 that maps `source` to `image` (n, 2), least squares (direct linear transformation)."""
+    """Return P (3, 3) with P33 = 1 that maps `source` to `image` (n, 2), by a direct linear transformation."""
     n = len(source)
     x, y = source.T
     one, zero = np.ones(n), np.zeros(n)

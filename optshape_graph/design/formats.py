@@ -1,4 +1,4 @@
-"""Drawings to files at 1:1: SVG and PDF (matplotlib), DXF (ezdxf). All are written atomically."""
+"""Files of drawings at 1:1: SVG and PDF (matplotlib), DXF (ezdxf), written atomically."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MM_PER_INCH = 25.4
 POINTS_PER_MM = 72.0 / MM_PER_INCH
 
 CAP_HEIGHT = 0.729
-"""Height of capitals of DejaVu Sans, which matplotlib brings, per unit of font size."""
+"""Height of capitals over font size, of DejaVu Sans, which comes with matplotlib."""
 
 COLOURS = {
     Layer.CUT: "black",
@@ -37,7 +37,7 @@ DXF_COLOURS = {Layer.CUT: 7, Layer.PRINT: 250, Layer.DIMENSION: 5, Layer.MARK: 8
 """AutoCAD colour indices."""
 
 DXF_DASH_SCALE = 20.0
-"""Of the standard dash pattern, which is made for drawings of a few millimetres."""
+"""Scale of the standard dash pattern, which is made for drawings of a few millimetres."""
 
 
 def export(
@@ -49,13 +49,13 @@ def export(
 ) -> list[Path]:
     """Write a drawing at 1:1 in the format that the file name ends in.
 
-    A PDF has a page per sheet; an SVG of several sheets becomes several files, numbered from the top left; a DXF is
-    for a machine, and always whole. Several sheets come with a plan of them, as the last page or as NAME-plan.svg.
+    A PDF has a page for each sheet. An SVG of several sheets becomes several files, numbered from the top left. A DXF
+    is for a machine, and always whole. Several sheets come with a plan, as the last page or as NAME-plan.svg.
 
     Args:
         drawing: the drawing.
         path: the file: .svg, .pdf or .dxf.
-        paper: A0 ... A4, to spread an SVG or a PDF over sheets; None: one sheet as large as the drawing.
+        paper: size of the sheets of an SVG or a PDF, A0 ... A4; None: one sheet as large as the drawing.
         orientation: of the sheets.
         notes: lines of text for the plan, such as the parts.
 
@@ -128,7 +128,7 @@ def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
     width, height = sheet.size
     x, y = sheet.origin
     figure = Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH))
-    figure.patch.set_visible(False)  # a machine that cuts would cut round the page
+    figure.patch.set_visible(False)  # else a cutting machine would cut out the page
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(x, x + width), ylim=(y, y + height))
     axes.set_axis_off()
@@ -162,7 +162,7 @@ def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
 def _look(line: Polyline) -> dict[str, Any]:
     """Return how matplotlib draws a line or an area."""
     if line.filled:
-        # Without the blending of edges, by which white seams would run between neighbours.
+        # Edges are not blended, which would leave white seams between neighbours.
         return {"facecolor": COLOURS[line.layer], "edgecolor": "none", "linewidth": 0.0, "antialiased": False}
     return {
         "fill": False,

@@ -1,4 +1,4 @@
-"""Shapes judged by what they are for: score, symmetry, and how well a sensor could find their pose."""
+"""Judgements of shapes: score, symmetry, and the bound on their pose for a sensor."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Cell:
     """One cell of a score: an orientation and the area that is lit.
 
     Attributes:
-        orientation: how far the shape is turned about its area's centroid, rad.
+        orientation: angle by which the shape is turned about its area's centroid, rad.
         area: number of the strip or placement, from the lowest.
         score: the score there.
     """
@@ -39,14 +39,14 @@ class Cell:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What is known of a shape.
+    """The judgement of a shape.
 
     Attributes:
-        target: the shape, of the area it has.
+        target: the shape, of its own area.
         six_rotations: the paper's score at unit area, worst over six rotations and five areas.
-        every_degree: the same, worst over all orientations in steps of a degree.
-        every_tenth: the same in steps of a tenth of a degree: what a shape made for whole degrees does not hide from.
-        self_rotation: how nearly it is symmetric.
+        every_degree: the score, worst over all orientations in steps of a degree.
+        every_tenth: the score in steps of a tenth of a degree, which shows if the shape is good at whole degrees only.
+        self_rotation: the rotation under which it is most like itself.
         bound: the Cramer-Rao bound on its pose, if a sensor was given.
     """
 
@@ -63,7 +63,7 @@ def judge(target: Target, sensor: SensorModel | None = None, distance: float = 1
 
     Args:
         target: the shape.
-        sensor: the sensor to bound the pose for, if any.
+        sensor: the sensor for the bound on the pose, if any.
         distance: of the target from it, metres.
     """
     rings = UniformRings()
@@ -83,7 +83,7 @@ def worst_cell(target: Target, turns: Floats, rings: Rings | None = None, mu: fl
     Args:
         target: the shape.
         turns: (R,) orientations, rad.
-        rings: the rings; four in each of five strips if left out.
+        rings: the rings; None: four in each of five strips.
         mu: weight of the chords.
     """
     scores = cell_scores(rotated(unit_area(target), turns), UniformRings() if rings is None else rings, mu)
@@ -92,6 +92,6 @@ def worst_cell(target: Target, turns: Floats, rings: Rings | None = None, mu: fl
 
 
 def unit_area(target: Target) -> Floats:
-    """(n, 2) the polygon scaled to unit area, about its area's centroid."""
+    """Return the polygon (n, 2) scaled to unit area, about its area's centroid."""
     polygon = centred(target.polygon)
     return np.asarray(polygon / np.sqrt(areas(polygon)))

@@ -1,4 +1,4 @@
-"""What a workshop asks of a shape: as smooth slacks, positive where it is met."""
+"""Limits of a workshop on a shape, as smooth slacks that are positive where a limit is met."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SHEETS = {"A0": (0.841, 1.189), "A1": (0.594, 0.841), "A2": (0.420, 0.594), "A3"
 """Paper formats, metres (ISO 216)."""
 
 _TURNS = 360
-"""Orientations of a turn in which a shape is compared with itself, and laid on a sheet."""
+"""Orientations in a turn at which a shape is compared with itself, and laid on a sheet."""
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,9 @@ class Limits:
         shortest_edge: metres.
         smallest_angle: of two neighbouring edges, rad.
         aspect: largest ratio of the diameter to the smallest width.
-        asymmetry: smallest share of its area that the shape uncovers when it is turned, other than slightly
-            (`nearest_self_rotation`). The score does not ask for it: among triangles the equilateral one is best.
-        sheet: sides of a sheet on which the target fits whole, turned as it likes, metres.
+        asymmetry: smallest share of its area that the shape uncovers under any rotation that is not slight
+            (`nearest_self_rotation`). The score itself allows symmetry: among triangles the equilateral one is best.
+        sheet: sides of a sheet on which the target fits in some orientation, metres.
 
     Raises:
         InputError: a bound that is not positive.
@@ -69,15 +69,15 @@ class Limits:
 
 
 def diameters(polygons: Floats) -> Floats:
-    """(...,) largest distances between two vertices, in the unit of the (..., n, 2) polygons."""
+    """Return the largest distances (...,) between two vertices, in the unit of the polygons (..., n, 2)."""
     apart = polygons[..., :, None, :] - polygons[..., None, :, :]
     return np.asarray(np.linalg.norm(apart, axis=-1).max(axis=(-2, -1)))
 
 
 def widths(polygons: Floats) -> Floats:
-    """(..., n) extents across each edge, in the unit of the (..., n, 2) polygons.
+    """Return the extents (..., n) across each edge, in the unit of the polygons (..., n, 2).
 
-    The smallest is the width of a convex polygon.
+    The smallest extent of a convex polygon is its width.
     """
     along = edges(polygons)
     normals = np.stack([-along[..., 1], along[..., 0]], axis=-1) / np.linalg.norm(along, axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""A target as it came out: its outline fitted to measured lengths, its pattern scaled as its print was."""
+"""A target as built: its outline is fitted to measured lengths, and its pattern scaled like the print."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ RULER = 0.5e-3
 """Standard deviation of a measured length, metres."""
 
 CUT = 5e-3
-"""Standard deviation of a vertex about its drawn place, metres: what the lengths do not say."""
+"""Standard deviation of a vertex about its drawn place, metres, for what the lengths do not determine."""
 
 LARGEST_MISFIT = 5e-3
-"""Lengths that differ by more from those of any outline near the drawn one are taken for mistaken, metres."""
+"""A length is taken for a mistake if it differs by more from that of the fitted outline, metres."""
 
 LARGEST_SCALE_ERROR = 0.1
-"""A print that is larger or smaller by more is taken for a mistake."""
+"""A print scale that differs by more from 1 is taken for a mistake."""
 
 
 def as_measured(target: Target, lengths: Mapping[tuple[int, int], float], print_scale: float = 1.0) -> Target:
-    """Return the target with the outline that measured lengths say it has.
+    """Return the target with the outline that fits measured lengths.
 
     Args:
         target: as it was drawn.
-        lengths: (i, j), numbers of two vertices, to their distance, metres: sides and diagonals. Sides alone leave a
-            quadrilateral free to shear: it stays as near to the drawing as they allow.
-        print_scale: measured length of something printed over its length on the drawing.
+        lengths: distances of vertices, metres, by their numbers (i, j): sides and diagonals. Sides alone let a
+            quadrilateral shear; it then stays as near to the drawing as they allow.
+        print_scale: measured length of a printed line over its length on the drawing.
 
     Raises:
-        InputError: a vertex that is not there, a length that is not positive, lengths that belong to no outline near
-            the drawn one, or a print scale that is not near 1.
+        InputError: an unknown vertex, a length that is not positive, lengths that fit no outline near the drawn one, or
+            a print scale that is not near 1.
     """
     if not abs(print_scale - 1.0) <= LARGEST_SCALE_ERROR:
         raise InputError(f"print scale {print_scale:.4g}: expected measured over drawn length, within 10 % of 1")
@@ -65,7 +65,7 @@ def as_measured(target: Target, lengths: Mapping[tuple[int, int], float], print_
             f"length {i}-{j}: {1000 * measured[worst]:.1f} mm fits no outline near the drawn one, where it is "
             f"{1000 * drawn_length:.1f} mm; measure it again"
         )
-    # The frame follows the outline: its origin is the vertex mean, and what is printed keeps its place on the plate.
+    # The frame follows the outline: its origin is the vertex mean, and the print keeps its place on the plate.
     shift = polygon.mean(axis=0)
     outline = Target.from_polygon(polygon, target.name)
     board, tags = target.chessboard, target.tags

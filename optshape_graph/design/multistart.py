@@ -1,4 +1,4 @@
-"""Many starts from one seed, over processes; every finished start is kept, so that a killed search resumes."""
+"""A search from many starts of one seed, over processes; finished starts are kept, so that a killed search resumes."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Search:
     """The ends of all starts, in the order of their numbers.
 
     Attributes:
-        problem: what was sought.
-        seed: what the starts were drawn from.
-        starts: where each ended.
+        problem: the problem that was solved.
+        seed: of the starts.
+        starts: the end of each start.
     """
 
     problem: Problem
@@ -54,11 +54,11 @@ class Search:
         return max(admissible, key=lambda start: start.score)
 
     def target(self, name: str = "optimal") -> Target:
-        """Return the best shape, with the area that the limits name."""
+        """Return the best shape, with the area of the limits."""
         return Target.from_polygon(self.upright_polygon(self.best) * np.sqrt(self.problem.limits.area), name)
 
     def upright_polygon(self, start: Start) -> Floats:
-        """(n, 2) the shape that a start ended at, of unit area, standing as `upright` says."""
+        """Return the shape (n, 2) at which a start ended, of unit area, turned upright (`upright`)."""
         return upright(self.problem.family.polygons(start.parameters)[0])
 
 
@@ -70,15 +70,15 @@ def search(
     folder: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Search:
-    """Solve from many starts. The result depends on the problem, the seed and the number of starts only.
+    """Solve from many starts. The result depends only on the problem, the seed and the number of starts.
 
     Args:
-        problem: what is sought.
+        problem: the problem.
         starts: number of starts.
         seed: start i is drawn from (seed, i).
-        pool: what runs them; None: this process.
+        pool: the workers; None: this process.
         folder: where finished starts are kept; those found there are not solved again.
-        progress: called with the number of finished starts and that of all: once before the first, then with each.
+        progress: called with the numbers of finished and of all starts, before the first and after each.
 
     Raises:
         InputError: `folder` holds starts of another problem or seed, another run uses it, or no start is asked for.
@@ -110,7 +110,7 @@ def search(
 def upright(polygon: Floats) -> Floats:
     """Return a polygon (n, 2) in its unit, about its area's centroid, its longest extent level, wider below than above.
 
-    The score is the worst over all orientations, so any is as good; this one stands well.
+    The score is the worst over all orientations, so it is the same in any; in this one the target stands well.
     """
     polygon = centred(polygon)
     i, j = divmod(int(np.linalg.norm(polygon[:, None] - polygon, axis=-1).argmax()), len(polygon))
@@ -121,7 +121,7 @@ def upright(polygon: Floats) -> Floats:
 
 
 def _solve_start(problem: Problem, seed: int, index: int) -> Start:
-    """Solve from one start: the task of a worker."""
+    """Solve from one start; this is the task of a worker."""
     return solve(problem, random_parameters(problem, np.random.default_rng([seed, index])), index)
 
 

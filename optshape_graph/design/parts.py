@@ -1,4 +1,4 @@
-"""What a workshop needs to build a target: plate, cuts, marks, prints, stand."""
+"""The parts that a workshop needs to build a target: plate, cuts, marks, prints, stand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DIBOND_3MM = 3.8
 """Mass of aluminium composite panel, 3 mm, kg per square metre."""
 
 STAND = 0.5
-"""Largest width of what holds the target, as a share of the target's width: it must not be seen beside it."""
+"""Largest width of the stand over that of the target, so that the LiDAR does not see it beside the target."""
 
 
 def parts_list(target: Target, workshop: Workshop | None = None, sheets: list[Sheet] | None = None) -> list[str]:
@@ -22,7 +22,7 @@ def parts_list(target: Target, workshop: Workshop | None = None, sheets: list[Sh
     Args:
         target: the target.
         workshop: marks and holes, if any.
-        sheets: that the drawing is printed on, if it is.
+        sheets: of the printed drawing, if it is printed.
     """
     workshop = Workshop() if workshop is None else workshop
     width, height = MM * np.ptp(target.polygon, axis=0)

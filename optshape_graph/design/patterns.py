@@ -1,4 +1,4 @@
-"""What is printed on a target for cameras, as black areas of the drawing, mm, as the LiDAR and the camera see them.
+"""Patterns that are printed on a target for cameras, as black areas of the drawing, mm, as the camera sees them.
 
 A target with a chessboard and with tags on its white squares is a ChArUco board: both are drawn.
 """
@@ -15,11 +15,11 @@ from optshape_graph.target import Chessboard, Tags, Target
 
 
 def pattern_of(target: Target) -> list[Polyline]:
-    """Return the black areas of what is printed on a target; empty where nothing is.
+    """Return the black areas of the patterns on a target; none without a pattern.
 
     Raises:
         InputError: the pattern reaches beyond the outline.
-        MissingExtraError: OpenCV, which knows the tags, is absent.
+        MissingExtraError: OpenCV, which has the tags, is absent.
     """
     areas = []
     if target.chessboard is not None:
@@ -37,10 +37,10 @@ def pattern_of(target: Target) -> list[Polyline]:
 
 
 def _squares(board: Chessboard, tags: Tags | None) -> list[Polyline]:
-    """Return the black squares: those without tags, if there are any; else the one at the top left is black."""
+    """Return the black squares: those without tags or, if there are no tags, the one at the top left and its like."""
     n_z, n_y = board.inner_corners
     rows, columns = np.indices((n_z + 1, n_y + 1))
-    # Row 0 is the lowest, column 0 the one of least y: at the right, as the LiDAR sees it.
+    # Row 0 is the lowest; column 0 has the least y, and is at the right as the LiDAR sees it.
     low_y = (columns - (n_y + 1) / 2) * board.square + board.offset[0]
     low_z = (rows - (n_z + 1) / 2) * board.square + board.offset[1]
     parity = (rows + columns) % 2

@@ -9,29 +9,29 @@ from optshape_graph._arrays import Bools, Floats
 
 
 def areas(polygons: Floats) -> NDArray[np.float64]:
-    """(...,) signed areas, in the square of the polygons' unit, positive if counter-clockwise."""
+    """Return the signed areas (...,), in the square of the polygons' unit, positive if counter-clockwise."""
     return np.asarray(0.5 * _crosses(polygons).sum(axis=-1))
 
 
 def centroids(polygons: Floats) -> Floats:
-    """(..., 2) centroids of the areas, in the polygons' unit."""
+    """Return the centroids (..., 2) of the areas, in the polygons' unit."""
     crosses = _crosses(polygons)
     sums = polygons + np.roll(polygons, -1, axis=-2)
     return np.asarray((sums * crosses[..., None]).sum(axis=-2) / (3.0 * crosses.sum(axis=-1)[..., None]))
 
 
 def centred(polygons: Floats) -> Floats:
-    """(..., n, 2) polygons, in their unit, moved so that the centroids of their areas are at the origin."""
+    """Return the polygons (..., n, 2), in their unit, with the centroids of their areas at the origin."""
     return np.asarray(polygons - centroids(polygons)[..., None, :])
 
 
 def edges(polygons: Floats) -> Floats:
-    """(..., n, 2) edge vectors, in the polygons' unit; edge k runs from vertex k to vertex k + 1."""
+    """Return the edge vectors (..., n, 2), in the polygons' unit; edge k runs from vertex k to vertex k + 1."""
     return np.roll(polygons, -1, axis=-2) - polygons
 
 
 def turns(polygons: Floats) -> Floats:
-    """(..., n) exterior angles, rad in (-pi, pi]: at vertex k, from edge k - 1 to edge k."""
+    """Return the exterior angles (..., n), rad in (-pi, pi]: at vertex k, from edge k - 1 to edge k."""
     after = edges(polygons)
     before = np.roll(after, 1, axis=-2)
     cross = before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]
@@ -39,7 +39,7 @@ def turns(polygons: Floats) -> Floats:
 
 
 def strictly_convex(polygons: Floats) -> Bools:
-    """(...,) whether each polygon turns left at every vertex, once round, and has no edge of length zero."""
+    """Return (...,) whether each polygon turns left at every vertex, once round, and has no edge of length zero."""
     angles = turns(polygons)
     lengths = np.linalg.norm(edges(polygons), axis=-1)
     sound = lengths.min(axis=-1) > 1e-9 * lengths.max(axis=-1)
@@ -47,7 +47,7 @@ def strictly_convex(polygons: Floats) -> Bools:
 
 
 def rotated(polygons: Floats, angles: Floats) -> Floats:
-    """(..., R, n, 2) the polygons turned counter-clockwise about the origin by (..., R) angles, rad."""
+    """Return the polygons (..., R, n, 2) turned counter-clockwise about the origin by angles (..., R), rad."""
     c, s = np.cos(angles), np.sin(angles)
     R = np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
     return np.asarray(polygons[..., None, :, :] @ np.swapaxes(R, -1, -2))

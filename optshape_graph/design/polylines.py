@@ -1,4 +1,4 @@
-"""What drawings are made of: lines, areas and texts on layers, in millimetres."""
+"""Parts of drawings: lines, areas and texts on layers, in millimetres."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MM = 1000.0
 
 
 class Layer(StrEnum):
-    """What a line or a text is for; the name of its layer in a DXF file."""
+    """Purpose of a line or a text; the name of its layer in a DXF file."""
 
     CUT = "CUT"
     PRINT = "PRINT"
@@ -27,10 +27,10 @@ class Polyline(Value):
 
     Attributes:
         points: (N, 2) mm.
-        layer: what it is for.
+        layer: its purpose.
         closed: whether the last point joins the first.
-        name: what it is called in the files that name things.
-        filled: whether it is an area: black, without a line around it.
+        name: its name in files that have names.
+        filled: whether it is a black area without an outline.
     """
 
     points: Floats
@@ -50,7 +50,7 @@ class Text:
     Attributes:
         position: (x, y) of its centre, mm.
         text: the text.
-        layer: what it is for.
+        layer: its purpose.
         height: of capitals, mm.
         angle: of the baseline, counter-clockwise, rad.
     """
@@ -67,7 +67,7 @@ class Drawing:
     """Lines and texts at 1:1, mm, x right and y up.
 
     Attributes:
-        title: what it is called.
+        title: its title.
         polylines: the lines.
         texts: the texts.
         low: (x, y) of the lower left corner of what is drawn.

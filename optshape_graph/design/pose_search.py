@@ -1,11 +1,11 @@
-"""The shape whose pose is known best: the search's objective is the bound on both errors, not the paper's score.
+"""The search for the shape whose pose is known best: it minimises the bound on both errors, not the paper's score.
 
-Every candidate is placed as a user may: any roll, tilts up to a largest one, heights between two rings, at several
-distances of several sensors, some of whose rings are lost. In each of these cells the median and the 95th percentile
-of e_r and of e_t are divided by those of a reference shape of the same area. What is minimised is the mean of the
-ratios' logarithms, and what the worst of them lacks.
+Every candidate is placed as users may place it: with any roll, tilts up to a largest one, heights between two rings, at
+several distances of several sensors, some of whose rings are lost. For each sensor and distance (a cell), the median
+and the 95th percentile of e_r and of e_t are divided by those of a reference shape of the same area. The cost is the
+mean of the logarithms of these ratios, and a penalty on the worst ratio.
 
-Limits keep a shape buildable, and unlike any turned copy of itself: a stray return then cannot make up the difference.
+Limits keep a shape buildable, and unlike any turned copy of itself, so that a stray return cannot turn the estimate.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 PRIOR = np.repeat([np.radians(30.0), 0.5], 3)
-"""What is known before a ring has met the target, as standard deviations, rad and m: a bound is never infinite."""
+"""Prior standard deviations of a pose, rad and m, without which a bound could be infinite."""
 
 WORST = 2.0
-"""Weight of the worst ratio's logarithm, where it is above `WORST_RATIO`, against the mean of all."""
+"""Weight of the logarithm of the worst ratio above `WORST_RATIO`, relative to the mean of all."""
 
 WORST_RATIO = 0.98
-"""Largest ratio of a cell that costs nothing of its own."""
+"""A worst ratio up to this has no penalty."""
 
 PENALTY = 20.0
-"""Cost per unit of a violated limit's relative slack."""
+"""Cost per unit of the relative slack by which a limit is violated."""
 
 QUANTILES = (0.5, 0.95)
-"""Of the errors over placements."""
+"""Quantiles of the errors over placements."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,12 +50,12 @@ class Placements(Value):
     """Sensors, distances and attitudes over which a shape is judged.
 
     Attributes:
-        sensors: the sensors; their azimuth steps have to be known.
+        sensors: the sensors, whose azimuth steps must be known.
         distances: of the target, metres.
         per_cell: placements of each sensor at each distance.
         largest_tilt: of the target away from facing the sensor, rad.
         lost_rings: share of the rings that every second placement loses.
-        seed: of the attitudes and lost rings: the same for every shape.
+        seed: of the attitudes and lost rings, which are the same for every shape.
 
     Raises:
         InputError: no sensor, no distance, or fewer than 4 placements in a cell.
@@ -99,7 +99,7 @@ class Placements(Value):
 def attitudes(
     sensor: SensorModel, distance: float, count: int, largest_tilt: float, rng: np.random.Generator
 ) -> Floats:
-    """(count, 4, 4) T_lidar_target: rolls evenly, tilts about any axis in the plane, heights within a gap of rings."""
+    """Return T_lidar_target (count, 4, 4): even rolls, tilts about any axis in the plane, heights between two rings."""
     rolls = 2 * np.pi * (np.arange(count) + rng.uniform(size=count)) / count
     axes, tilts = rng.uniform(0, 2 * np.pi, count), largest_tilt * np.sqrt(rng.uniform(size=count))
     order = rng.permutation(count)
@@ -112,16 +112,16 @@ def attitudes(
 
 
 def horizon_gap(sensor: SensorModel) -> Floats:
-    """(2,) elevations, rad, of the two rings nearest to the horizon, one on each side where there is one."""
+    """Return the elevations (2,), rad, of the two rings nearest to the horizon, one on each side if possible."""
     above = int(np.searchsorted(sensor.elevations, 0.0).clip(1, max(sensor.n_rings - 1, 1)))
     return np.asarray(sensor.elevations[[above - 1, min(above, sensor.n_rings - 1)]])
 
 
 def expected_covariance(target: Target, sensor: SensorModel, T_lidar_target: Floats) -> Floats:
-    """(N, 6, 6) bounds that know, too, between which rings the target's top and bottom end; never infinite.
+    """Return bounds (N, 6, 6) that also use between which rings the target's top and bottom lie; never infinite.
 
-    The ends of rings alone leave a target with a level edge undetermined. That the next ring misses it tells where
-    the edge is to within the gap between the two, as a uniform distribution, here taken as Gaussian.
+    The ends of rings alone leave a target with a level edge undetermined. But the next ring misses the target, so the
+    edge lies in the gap between the two: a uniform distribution, here taken for Gaussian.
     """
     T = np.asarray(T_lidar_target)
     information = pose_information(target, sensor, T) + np.diag(PRIOR**-2)
@@ -140,7 +140,7 @@ def expected_covariance(target: Target, sensor: SensorModel, T_lidar_target: Flo
 
 
 def _gap_at(sensor: SensorModel, elevations: Floats) -> Floats:
-    """(N,) angle between the rings below and above elevations; beyond the outermost ring, half a turn's tenth."""
+    """Return the angles (N,), rad, between the rings below and above elevations, at most 18 degrees."""
     edges = np.concatenate([[-np.pi / 2], sensor.elevations, [np.pi / 2]])
     above: Ints = np.searchsorted(edges, elevations).clip(1, len(edges) - 1)
     return np.asarray(np.minimum(edges[above] - edges[above - 1], np.pi / 10))
@@ -148,13 +148,13 @@ def _gap_at(sensor: SensorModel, elevations: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PoseProblem(Value):
-    """What is sought: the shape of a family whose pose is known best.
+    """The problem: find the shape of a family whose pose is known best.
 
     Attributes:
-        placements: where it is judged.
+        placements: where a shape is judged.
         reference: the shape whose errors count as 1, scaled to the area of the limits.
         family: the candidates.
-        limits: what the workshop asks.
+        limits: of the workshop.
     """
 
     placements: Placements
@@ -172,12 +172,12 @@ class PoseProblem(Value):
         return self.placements.errors(target.scaled_to_area(self.limits.area)) / self.reference_errors
 
     def cost(self, target: Target) -> float:
-        """Return what is minimised: below 0 is better than the reference."""
+        """Return the cost, which the search minimises; below 0, the target is better than the reference."""
         logs = np.log(self.ratios(target))
         return float(logs.mean() + WORST * max(logs.max() - np.log(WORST_RATIO), 0.0))
 
     def penalised(self, unknowns: Floats) -> float:
-        """Return the cost of a candidate's (5,) unknowns, and PENALTY times what it lacks of the limits."""
+        """Return the cost of a candidate's unknowns (5,), plus PENALTY times its violation of the limits."""
         parameters = parameters_of(unknowns[None])
         depth = float(self.family.depths(parameters).min())
         if depth < 0.05 or abs(unknowns[2]) > 2.0:
@@ -191,12 +191,12 @@ class PoseProblem(Value):
 
 @dataclass(frozen=True)
 class FoundShape:
-    """Where a search for the best pose ended.
+    """The result of a search for the best pose.
 
     Attributes:
-        target: the shape, of the limits' area, standing as `upright` says.
-        cost: what it costs (`PoseProblem.cost`).
-        costs: of the ends of all starts, the penalties included.
+        target: the shape, with the area of the limits, turned upright (`upright`).
+        cost: its cost (`PoseProblem.cost`).
+        costs: of the ends of all starts, including penalties.
     """
 
     target: Target
@@ -217,13 +217,13 @@ def search_for_poses(
     """Search from random shapes of the family (Nelder and Mead); the same seed finds the same shape.
 
     Args:
-        problem: what is sought.
+        problem: the problem.
         starts: number of random starts, after the `initial` ones.
         seed: of the starts.
         name: of the target that is found.
         steps: evaluations of each start.
         progress: called with the number of finished starts and that of all.
-        initial: (5,) parameters to start from, too.
+        initial: further parameters (5,) to start from.
 
     Raises:
         EstimationError: no start ended within the limits.
@@ -234,7 +234,7 @@ def search_for_poses(
     for number, parameters in enumerate([*initial, *drawn]):
         if progress is not None:
             progress(number, starts + len(initial))
-        # The roll is the placements': the bound does not depend on theta but for the draws, so it stays.
+        # Placements have all rolls: the bound depends on theta only through their draws, so theta stays.
         start = unknowns_of(parameters)
 
         def penalised(free: Floats, theta: Floats = start[:1]) -> float:

@@ -1,8 +1,8 @@
 """The design problem: the shape of the family whose worst score over orientations and areas is largest.
 
-max over P of min over cells of Psi (eq. 17 with its signs and orders put right). It is non-smooth, since the worst cell
-changes; in epigraph form, max t such that Psi_c(P) >= t for every cell c, it is a smooth constrained problem between
-the places where a ring passes a vertex. Sequential linear programming with a trust region solves it: minimax problems
+The problem is max over P of min over cells of Psi (eq. 17 with corrected signs and orders). It is non-smooth, since the
+worst cell changes. In epigraph form, max t such that Psi_c(P) >= t for every cell c, it is a smooth constrained problem
+as long as no ring passes a vertex. Sequential linear programming with a trust region solves it: minimax problems
 with few parameters end at a vertex of as many active cells, where it converges quadratically.
 """
 
@@ -24,7 +24,7 @@ LARGEST = np.array([np.inf, 5.0, np.log(5.0), 10.0, 10.0])
 """Bounds on the magnitudes of the unknowns theta, k, log lambda, v1, v2."""
 
 SMALLEST_DEPTH = 0.02
-"""Bound on v1 x + v2 y + 1, away from the shapes that reach to infinity."""
+"""Lower bound on v1 x + v2 y + 1, which excludes shapes that reach to infinity."""
 
 SPREAD = np.array([np.inf, 0.5, 0.4, 0.7, 0.7])
 """Standard deviations of random starts; the rotation is uniform."""
@@ -33,28 +33,28 @@ ACTIVE_CELLS = 80
 """Orientations, those with the lowest scores, that enter a linear programme."""
 
 LARGEST_RADIUS, SMALLEST_RADIUS = 0.5, 1e-6
-"""Of the trust region: a box of this half width about the unknowns."""
+"""Half widths of the trust region, a box about the unknowns."""
 
 MOST_ITERATIONS = 60
 SMALLEST_GAIN = 1e-9
 
 MARGIN = 1e-4
-"""Relative slack that the solver keeps, so that what it returns is admissible, not nearly so."""
+"""Relative slack that the solver keeps, so that its result is admissible and not just nearly so."""
 
 PENALTY = 1.0
-"""Of the score per unit of violated slack, above the multipliers (scores are of the order of 0.01)."""
+"""Penalty on the score per unit of violated slack; it exceeds the multipliers, as scores are of the order of 0.01."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is sought.
+    """The problem.
 
     Attributes:
         family: the candidates.
         rings: the rings that light them.
-        limits: what the workshop asks.
-        steps: steps between orientations over half a turn (a full one if the rings are not symmetric), rad: solved
-            with the first, then from there with the second, and so on. The score is that of the last.
+        limits: of the workshop.
+        steps: steps between orientations over half a turn (a full turn if the rings are not symmetric), rad. The
+            problem is solved with the first step, from there with the second, and so on; the score is that of the last.
         mu: weight of the chords.
     """
 
@@ -67,10 +67,10 @@ class Problem:
 
 @dataclass(frozen=True)
 class Start:
-    """Where one start of a search ended.
+    """The end of one start of a search.
 
     Attributes:
-        index: which start.
+        index: number of the start.
         initial: (5,) parameters theta, k, lambda, v1, v2 that it started from.
         parameters: (5,) parameters that it ended at.
         score: worst score there, over the orientations of the last step.
@@ -87,7 +87,7 @@ class Start:
 
 
 def orientations(rings: Rings, step: float) -> Floats:
-    """(R,) orientations `step` apart, rad: over half a turn where another half would only repeat the scores."""
+    """Return orientations (R,), rad, `step` apart: over half a turn if the other half only repeats the scores."""
     turn = np.pi if rings.half_turn_symmetric else 2 * np.pi
     return np.arange(0.0, turn - 1e-9, step)
 
@@ -113,7 +113,7 @@ def solve(problem: Problem, initial: Floats, index: int = 0) -> Start:
 
 
 def random_parameters(problem: Problem, rng: np.random.Generator) -> Floats:
-    """(5,) parameters of a random convex member of the family."""
+    """Return the parameters (5,) of a random convex member of the family."""
     while True:
         x = np.append(rng.uniform(0.0, 2 * np.pi), SPREAD[1:] * rng.standard_normal(4))
         parameters = parameters_of(x[None])[0]
@@ -168,7 +168,7 @@ def _lp_step(problem: Problem, x: Floats, angles: Floats, radius: float) -> Floa
 
 
 def _evaluate(problem: Problem, x: Floats, angles: Floats) -> tuple[Floats, Floats]:
-    """(B, R, m) scores and (B, c) slacks, less MARGIN, of (B, 5) unknowns; images that are not convex score 0."""
+    """Return scores (B, R, m) and slacks less MARGIN (B, c) of unknowns (B, 5); images that are not convex score 0."""
     parameters = parameters_of(x)
     depths = problem.family.depths(parameters)
     convex = np.atleast_1d((depths > 0).all(axis=-1))

@@ -1,8 +1,8 @@
-"""The cost that the authors' released optimiser minimises, kept to reproduce its published values.
+"""The cost that the authors' released optimiser minimises, for the reproduction of its published values.
 
-It differs from the paper's score: each ring is weighted by the height over the width of the two edges that it crosses
-together, the squares of the chords are added, the cells are summed instead of the worst being taken, and the smallest
-value over motions is looked up on a 25 x 25 grid of the sphere.
+It differs from the paper's score: each ring is weighted by the height over the width of the two edges that it crosses,
+taken together; the squares of the chords are added; cells are summed instead of taking the worst; and the smallest
+value over motions is taken from a 25 x 25 grid of the sphere.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ def released_cost(polygon: Floats, turns: Floats, rings: Rings, mu: float = MU) 
     """Return the released cost, negative; smaller is better.
 
     Args:
-        polygon: (n, 2) vertices, about the point that they are turned about. The published values are for unit area
-            and the crossing of the diagonals.
+        polygon: (n, 2) vertices, with the centre of the rotation at the origin. The published values are for unit area
+            and rotation about the crossing of the diagonals.
         turns: (R,) orientations, rad.
         rings: the rings.
         mu: weight of the squared chords.

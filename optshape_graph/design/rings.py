@@ -1,4 +1,4 @@
-"""Where rings cross a target: the heights of the horizontal rings that light it, cell by cell."""
+"""The heights at which horizontal rings cross a target, cell by cell."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from optshape_graph.sensor import SensorModel
 
 
 class Rings(Protocol):
-    """A rule that puts rings on a polygon: `heights` in each of several areas, only one of which is lit at a time."""
+    """A rule that puts rings on a polygon: their `heights` in several areas, of which one is lit at a time."""
 
     @property
     def half_turn_symmetric(self) -> bool:
-        """Whether turning every polygon by half a turn turns its rings with it."""
+        """Whether the rings of a polygon turned by half a turn are its rings turned by half a turn."""
 
     def heights(self, low: Floats, high: Floats) -> Floats:
-        """(k, ..., m) ring heights in the m areas of polygons of unit area that reach from `low` to `high`, (...,)."""
+        """Return ring heights (k, ..., m) in m areas of polygons of unit area from `low` to `high`, (...,)."""
 
 
 @dataclass(frozen=True)
 class UniformRings:
-    """Equal strips over the full height, the rings at j / (per_area + 1) of a strip (paper, Section IV-A).
+    """Rings in equal strips of the full height, at j / (per_area + 1) of a strip (paper, Section IV-A).
 
     Attributes:
         areas: number of strips m.
         per_area: number of rings in a strip.
 
     Raises:
-        InputError: fewer than one of either.
+        InputError: no area, or no ring.
     """
 
     areas: int = 5
@@ -59,8 +59,8 @@ class UniformRings:
 class SensorRings(Value):
     """The rings of a sensor on an upright target that faces it.
 
-    An area is a placement: the target's centre at one of several heights within a gap between two rings, since
-    nobody aims a target at a ring.
+    An area is a placement here: the target's centre at one of several heights between two rings, since the height of a
+    target is not adjusted to a ring.
 
     Attributes:
         plane_heights: (k,) metres, where the rings meet the target's plane, from the target's centre, at the

@@ -1,7 +1,7 @@
-"""How far the edge points of a polygon move along the rings when the polygon moves (paper, Section III-C).
+"""The motion of a polygon's edge points along the rings when the polygon moves (paper, Section III-C).
 
 An edge with slope m = dx/dy meets the ring at height y in x = x_i + m (y - y_i). Moving the polygon by (omega, u, v) of
-se(2), ring held, moves that point along the ring by
+se(2), with the ring fixed, moves that point along the ring by
 
     v_x = omega (-y - m x) + u - m v
 
@@ -26,7 +26,7 @@ MU = 1e-3
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EdgeCrossings(Value):
-    """Rings against edges: (k, n, ..., m) for k rings in each of m areas of (..., n, 2) polygons, in their unit.
+    """Crossings of k rings in each of m areas with the n edges of polygons (..., n, 2), in their unit.
 
     Attributes:
         hit: (k, n, ..., m) whether the ring meets the edge: for a convex polygon, two edges of n or none.
@@ -59,7 +59,7 @@ class EdgeCrossings(Value):
 
 
 def edge_crossings(polygons: Floats, heights: Floats) -> EdgeCrossings:
-    """Intersect horizontal rings with polygons (eq. 10).
+    """Return where horizontal rings cross the edges of polygons (eq. 10).
 
     Args:
         polygons: (..., n, 2) vertices, in any unit.
@@ -76,7 +76,7 @@ def edge_crossings(polygons: Floats, heights: Floats) -> EdgeCrossings:
 
 
 def quadratic_forms(crossings: EdgeCrossings) -> Floats:
-    """(..., m, 3, 3) A = sum J J^T over the edge points of each area, J = (-y - m x, 1, -m)."""
+    """Return A = sum J J^T (..., m, 3, 3) over the edge points of each area, J = (-y - m x, 1, -m)."""
     turning, m = crossings.turning, crossings.slope
     count, first, second = crossings.hit.sum(axis=0), turning.sum(axis=0), (turning * turning).sum(axis=0)
     oo, ou, ov = second.sum(axis=0), first.sum(axis=0), -(m * first).sum(axis=0)
@@ -85,7 +85,7 @@ def quadratic_forms(crossings: EdgeCrossings) -> Floats:
 
 
 def cell_scores(polygons: Floats, rings: Rings, mu: float = MU) -> Floats:
-    """(..., m) scores w M + mu sum d of each area under its worst unit motion (eqs. 15 and 16).
+    """Return the score w M + mu sum d (..., m) of each area under its worst unit motion (eqs. 15 and 16).
 
     M is the smallest eigenvalue of A over the polygon's height h; w is its width. The unit sphere of motions mixes
     radians and lengths, so the score depends on the unit of length and on the origin: published values are for unit
@@ -107,7 +107,7 @@ def cell_scores(polygons: Floats, rings: Rings, mu: float = MU) -> Floats:
 
 
 def worst_motions(polygons: Floats, rings: Rings) -> Floats:
-    """(..., m, 3) unit motions (omega, u, v) under which the edge points of each area move least."""
+    """Return the unit motion (omega, u, v) (..., m, 3) under which the edge points of each area move least."""
     low, high = polygons[..., 1].min(axis=-1), polygons[..., 1].max(axis=-1)
     forms = quadratic_forms(edge_crossings(polygons, rings.heights(low, high)))
     return np.asarray(np.linalg.eigh(forms)[1][..., 0])

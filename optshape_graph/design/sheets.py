@@ -1,4 +1,4 @@
-"""Sheets of paper: how a drawing is spread over them, with marks by which they are cut and joined."""
+"""Sheets of paper over which a drawing is spread, with marks for cutting and joining them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from optshape_graph.design.polylines import MM, Drawing, Layer, Polyline, Text
 from optshape_graph.errors import InputError
 
 BORDER = 12.0
-"""Around the part of a sheet that is drawn on, mm: printers leave the edge of a sheet blank."""
+"""Blank border of a sheet, mm, which printers need."""
 
 Orientation = Literal["auto", "portrait", "landscape"]
 
 MOST_SHEETS = 400
-"""Of one drawing: A4 of a target of 3.5 m."""
+"""Sheets of a drawing at most: A4 for a target of 3.5 m."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Sheet:
 def lay_out(drawing: Drawing, paper: str | None, orientation: Orientation = "auto") -> list[Sheet]:
     """Spread a drawing over sheets, row by row from the top left; sheets that would stay empty are left out.
 
-    Neighbouring sheets share the line at which both are cut: cut along the marks, and butt them together.
+    Neighbouring sheets are cut along the same line: cut at the marks, and butt them together.
 
     Args:
         drawing: the drawing.
@@ -51,7 +51,7 @@ def lay_out(drawing: Drawing, paper: str | None, orientation: Orientation = "aut
         orientation: of the sheets: `portrait`, `landscape`, or `auto`: whichever needs fewer sheets.
 
     Raises:
-        InputError: the format is not known, or there would be more sheets than anybody joins.
+        InputError: an unknown format, or more than `MOST_SHEETS` sheets.
     """
     if paper is None:
         return _spread(drawing, np.array(drawing.high) - np.array(drawing.low) + 2 * BORDER)
@@ -63,10 +63,10 @@ def lay_out(drawing: Drawing, paper: str | None, orientation: Orientation = "aut
 
 
 def plan(drawing: Drawing, sheets: list[Sheet], notes: list[str], orientation: Orientation = "auto") -> Drawing:
-    """Draw, on one sheet as large as the others, which sheet goes where, and notes below.
+    """Draw the places of the sheets on one sheet of the same size, with notes below.
 
     Args:
-        drawing: what the sheets show.
+        drawing: the drawing that the sheets show.
         sheets: of that drawing.
         notes: lines of text.
         orientation: of the plan.
@@ -97,7 +97,7 @@ def plan(drawing: Drawing, sheets: list[Sheet], notes: list[str], orientation: O
 
 
 def _spread(drawing: Drawing, size: Floats) -> list[Sheet]:
-    """Sheets of a size, mm, that show something of a drawing."""
+    """Return the sheets of a size, mm, that show a part of a drawing."""
     low, extent = np.array(drawing.low), np.array(drawing.high) - np.array(drawing.low)
     window = size - 2 * BORDER
     columns, rows = (int(count) for count in np.ceil(extent / window - 1e-9))
@@ -133,7 +133,7 @@ def _spread(drawing: Drawing, size: Floats) -> list[Sheet]:
 
 
 def _segments(drawing: Drawing) -> tuple[Floats, Floats]:
-    """(N, 2) starts and ends of all that is drawn: lines, both diagonals of areas, and texts from end to end."""
+    """Return starts and ends (N, 2) of all that is drawn: lines, both diagonals of areas, and texts from end to end."""
     starts, ends = [], []
     for line in drawing.polylines:
         starts.append(line.points if line.closed else line.points[:-1])
@@ -149,7 +149,7 @@ def _segments(drawing: Drawing) -> tuple[Floats, Floats]:
 
 
 def _meet(starts: Floats, ends: Floats, low: Floats, high: Floats) -> Bools:
-    """(N,) which segments meet a box (Liang and Barsky)."""
+    """Return (N,) which segments meet a box (Liang and Barsky)."""
     along = ends - starts
     along = np.where(np.abs(along) < 1e-12, 1e-12, along)
     a, b = (low - starts) / along, (high - starts) / along

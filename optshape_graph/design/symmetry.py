@@ -1,4 +1,4 @@
-"""How nearly a shape is a turned copy of itself: what makes a pose ambiguous."""
+"""The similarity of a shape to turned copies of itself, which makes poses ambiguous."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from optshape_graph._arrays import Floats
 from optshape_graph.design.polygons import centred, edges
 
 STEPS = 1440
-"""Angles in a turn at which a shape is compared with itself: a quarter of a degree apart."""
+"""Angles in a turn at which a shape is compared with itself, a quarter of a degree apart."""
 
 
 @dataclass(frozen=True)
 class SelfRotation:
-    """The rotation, away from none at all, under which a shape covers itself best.
+    """The rotation, other than a slight one, under which a shape covers itself best.
 
     Attributes:
         angle: of the rotation about the area's centroid, rad.
@@ -30,7 +30,7 @@ class SelfRotation:
 def nearest_self_rotation(polygon: Floats, steps: int = STEPS) -> SelfRotation:
     """Find the rotation under which a convex polygon (n, 2) is most like itself.
 
-    Small rotations always are; so the angles at which the distance still rises from that of no rotation do not count.
+    Slight rotations do not count: those up to the angle at which the distance, rising from 0, first falls again.
     """
     distances = self_distances(polygon, steps)
     start = int((np.diff(distances) < 0).argmax())  # the first local maximum
@@ -42,18 +42,18 @@ def self_distances(polygon: Floats, steps: int = STEPS) -> Floats:
     """Return the relative area that a convex polygon (n, 2) uncovers when it is turned.
 
     Returns:
-        (K,), K = steps / 2 + 2, for rotations by multiples of a turn / steps, from none to just over half a turn: those
-        by -angle leave as much uncovered.
+        (K,), K = steps / 2 + 2, for rotations by multiples of a turn / steps, from none to just over half a turn. A
+        rotation by -angle uncovers as much as one by angle.
     """
     squares = radii(centred(polygon), steps) ** 2
     turned = sliding_window_view(np.tile(squares, 2), steps)[: steps // 2 + 2]
-    # Between two outlines about one centre lies half the integral of |r^2 - r'^2| over the directions; half of that
-    # is in the one and not in the other.
+    # The area between two outlines about one centre is half the integral of |r^2 - r'^2| over the directions; half of
+    # it is in the first outline and not in the second.
     return np.asarray(0.5 * np.abs(squares - turned).sum(axis=1) / squares.sum())
 
 
 def radii(polygon: Floats, steps: int = STEPS) -> Floats:
-    """(steps,) distances from the origin, inside, to the outline of a convex polygon (n, 2), in its unit."""
+    """Return distances (steps,) from the origin, inside, to the outline of a convex polygon (n, 2), in its unit."""
     angles = 2 * np.pi * np.arange(steps) / steps
     along = edges(polygon)
     normals = np.column_stack([along[:, 1], -along[:, 0]])

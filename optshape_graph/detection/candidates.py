@@ -1,4 +1,4 @@
-"""Candidates: patches grown to all returns in their plane, without arms and poles, and their size."""
+"""Candidates: patches grown to all connected returns in their plane, without arms and poles; and their size."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Candidate(Value):
         centroid: (2,) of that area, along the plane's axes, metres.
         spread: (2,) standard deviations of that area along its principal axes, the smaller first, metres.
         n_rings: rings that have returns on it.
-        cut: it reaches the sensor's lowest or highest ring: part of it may be out of view.
-        hidden: something stands before part of its outline.
+        cut: whether it reaches the sensor's lowest or highest ring, so that part of it may be out of view.
+        hidden: whether something stands before part of its outline.
         stepped: share of the ends of its rings beyond which the range jumps back, or nothing returns.
     """
 
@@ -49,7 +49,7 @@ def grow(scan: OrderedScan, patch: Patch, reach: float) -> Candidate:
     Args:
         scan: the ordered scan.
         patch: where to start.
-        reach: metres from the patch's centre, at most.
+        reach: largest distance from the patch's centre, metres.
 
     Raises:
         EstimationError: the returns do not span a plane, or it is seen edge-on.
@@ -86,9 +86,9 @@ def grow(scan: OrderedScan, patch: Patch, reach: float) -> Candidate:
 
 
 def _connected(scan: OrderedScan, runs: Runs, seed: Bools) -> Bools:
-    """(N,) whether each return's run holds a seed, or overlaps one that does and is few rings away.
+    """Return (N,) whether each return's run holds a seed, or overlaps one that does and is few rings away.
 
-    No further: what hangs on to a target, like the pole of its stand, is left out.
+    Runs further away are left out, such as the pole of a stand below a target.
     """
     if len(runs.rows) == 0:
         return np.zeros(0, dtype=bool)
@@ -101,7 +101,7 @@ def _connected(scan: OrderedScan, runs: Runs, seed: Bools) -> Bools:
 
 
 def _covered_area(scan: OrderedScan, runs: Runs, plane: ReturnsPlane) -> tuple[float, Floats, Floats]:
-    """Area in the plane that the beams of the runs stand for, square metres, its centroid (2,) and spread (2,).
+    """Return the area in the plane that the beams of the runs cover, square metres, its centroid (2,) and spread (2,).
 
     A beam's solid angle cos(e) da de covers r^2 cos(e) da de / cos(incidence).
     """
@@ -118,11 +118,11 @@ def _covered_area(scan: OrderedScan, runs: Runs, plane: ReturnsPlane) -> tuple[f
 
 
 def without_limbs(scan: OrderedScan, rows: Ints, plane: ReturnsPlane) -> Bools:
-    """(N,) which returns (N,) of a surface are not on an arm, a handle or a stand: what its other rings allow.
+    """Return (N,) which returns (N,) of a surface are not on an arm, a handle or a stand.
 
-    The side of a convex outline is a concave function of height: nowhere is it further out than the line through two
-    points of it above, or below. Those are taken a limb's thickness apart, so that one limb does not vouch for itself;
-    of several such lines the middle one counts, since some may lean on a limb.
+    The side of a convex outline is a concave function of height: it is nowhere further out than the line through two
+    points of it above, or below. The two points are a limb's thickness apart, so that they are not on the same limb;
+    the median of several such lines counts, since some may touch a limb.
     """
     ends = ring_ends(scan, rows)
     n_rings = len(ends) // 2
@@ -148,18 +148,18 @@ def without_limbs(scan: OrderedScan, rows: Ints, plane: ReturnsPlane) -> Bools:
             )
         ]
         reach = _middle(np.array(lines))
-        keep &= ~(side * yz[:, 0] > reach[ring] + slack)  # not a number: nothing to compare with
+        keep &= ~(side * yz[:, 0] > reach[ring] + slack)  # NaN: nothing to compare with
     return keep
 
 
 def _middle(lines: Floats) -> Floats:
-    """(M,) median over lines (L, M), the upper of two; not a number where none of them is one."""
+    """Return the median (M,) over lines (L, M), the upper of two; NaN where all are NaN."""
     count = np.isfinite(lines).sum(axis=0)
     return np.asarray(np.sort(lines, axis=0)[np.minimum(count // 2, len(lines) - 1), np.arange(lines.shape[1])])
 
 
 def _beyond(end: Floats, height: Floats, near: int, far: int) -> Floats:
-    """(M,) where the line through the ends `near` and `far` rings on meets each ring; not a number: no such."""
+    """Return where the line through the ends `near` and `far` rings on meets each ring (M,); NaN: no such rings."""
     meets = np.full(len(end), np.nan)
     count = len(end) - far
     if count > 0:
@@ -170,13 +170,13 @@ def _beyond(end: Floats, height: Floats, near: int, far: int) -> Floats:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Size(Value):
-    """Measures of a polygon that no rotation changes.
+    """Measures of a polygon that do not depend on its rotation.
 
     Attributes:
         area: square metres.
         spread: (2,) standard deviations of the area along its principal axes, the smaller first, metres.
         diameter: largest distance of two vertices, metres.
-        width: distance of the closest two parallels that hold it, metres.
+        width: smallest distance of two parallel lines with the polygon between them, metres.
     """
 
     area: float
@@ -202,9 +202,9 @@ class Size(Value):
         )
 
     def objection(self, candidate: Candidate, options: DetectionOptions) -> str:
-        """Say why a candidate cannot be of this size; empty: it can.
+        """Return why a candidate cannot be of this size; empty: it can.
 
-        Rings cover a surface to half a ring's spacing at the top and the bottom.
+        At the top and the bottom, rings cover a surface to within half the spacing of rings.
         """
         most = 1.0 + options.size_excess + 0.5 / candidate.n_rings
         seen = (

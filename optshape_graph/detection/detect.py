@@ -29,12 +29,12 @@ def detect_targets(scan: Scan, targets: Target | Sequence[Target], options: Dete
     likelihood (`identify`).
 
     Args:
-        scan: a full revolution, with rings. Its sensor, where known, gives azimuth step, noise and the rings there are.
+        scan: a full revolution, with rings. Its sensor, if known, gives azimuth step, noise and the table of rings.
         targets: one target or several to look for. Any number of each may be in the scan.
         options: the settings.
 
     Raises:
-        InputError: no targets, something else than targets, two targets of one name, or a scan without rings.
+        InputError: no targets, other objects than targets, two targets of one name, or a scan without rings.
     """
     expect("scan", scan, Scan)
     expect("options", options, DetectionOptions)
@@ -61,7 +61,7 @@ def detect_targets(scan: Scan, targets: Target | Sequence[Target], options: Dete
 
 
 def _wanted(targets: Target | Sequence[Target]) -> tuple[Target, ...]:
-    """Check what to look for."""
+    """Return the targets to look for, after checks."""
     if isinstance(targets, Target):
         return (targets,)
     if isinstance(targets, str) or not isinstance(targets, Sequence):
@@ -83,7 +83,7 @@ def _candidates(ordered: OrderedScan, sizes: Sequence[Size], rejected: list[Reje
     width, diameter = min(size.width for size in sizes), max(size.diameter for size in sizes)
     candidates = []
     for patch in find_patches(ordered, shortest=0.2 * width, longest=1.1 * diameter):
-        # Tips and rings that run on into something else are not in the patch yet, so its area says little.
+        # Tips, and rings that run on into something else, are not in the patch yet, so its area tells little.
         if patch.n_rings < ordered.options.fewest_rings - 1 or not 0.25 * least < patch.area < 1.5 * most:
             continue
         try:
@@ -99,7 +99,7 @@ def _candidates(ordered: OrderedScan, sizes: Sequence[Size], rejected: list[Reje
 
 
 def _problem(candidate: Candidate, sizes: Sequence[Size], options: DetectionOptions) -> tuple[str, int]:
-    """Say why a candidate can be none of the targets, and how many tests it passed; empty: it can be one."""
+    """Return why a candidate cannot be any of the targets, and how many tests it passed; empty: it can be one."""
     objections = [size.objection(candidate, options) for size in sizes]
     if all(objections):
         return objections[0], 0

@@ -25,8 +25,8 @@ class DetectFile:
     Attributes:
         targets: to look for.
         sensor: that made the scans; None: unknown.
-        columns: names of the clouds' columns that have none, in order; None: they name their own.
-        then: called with path, scan and detections, to draw them, and returns the pictures; None: nothing is drawn.
+        columns: names of the columns, in order, for clouds without names; None: the clouds have names.
+        then: draws path, scan and detections, and returns the paths of the pictures; None: nothing is drawn.
     """
 
     targets: tuple[Target, ...]
@@ -55,7 +55,7 @@ class DetectFile:
         return Outcome("failed", (f"{path}: {reason}",), entry)
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides the results, as plain data."""
+        """Return all settings that decide the results, as plain data."""
         return {
             "targets": [to_record(target) for target in self.targets], "sensor": to_record(self.sensor),
             "columns": self.columns and list(self.columns),

@@ -1,4 +1,4 @@
-"""Tell which target a surface is: fit each of the right size, drop what does not fit, take the likeliest."""
+"""Identify the target that a surface is: fit each target of its size, drop what does not fit, take the likeliest."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from optshape_graph.target import Target
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Fit(Value):
-    """One target fitted to a candidate: rows of the ordered scan taken for its returns, pose, evidence."""
+    """A target fitted to a candidate: the rows of the ordered scan that count as its returns, pose, evidence."""
 
     rows: Ints
     estimate: PoseEstimate
@@ -30,16 +30,16 @@ class _Fit(Value):
 
 @dataclass(frozen=True)
 class _Misfit:
-    """Why a candidate is not a target, and how many tests it passed before."""
+    """The reason why a candidate is not a target, and how many tests it passed before."""
 
     reason: str
     passed: int
 
 
 PASSED_AT_FIRST = 3
-"""Tests before a target's outline is laid over a candidate: of size, number of rings, and how they end."""
+"""Number of tests before a target's outline is laid over a candidate: size, number of rings, and their ends."""
 
-_LOOK_SD = 0.005  # standard deviation of the place that a look finds, metres
+_LOOK_SD = 0.005  # standard deviation of a place that a first look finds, metres
 
 
 def identify(
@@ -48,13 +48,13 @@ def identify(
     """Find the target that a candidate is.
 
     Args:
-        scan: what it was found in.
-        ordered: the same, ordered.
+        scan: the scan in which it was found.
+        ordered: that scan, ordered.
         candidate: a surface.
         fitted: the targets that it may be, and how they fit; see `fit_targets`.
 
     Returns:
-        The detection, if any, and why it is none of the other targets.
+        The detection, if any, and the reasons why the candidate is not one of the other targets.
     """
     fits: list[_Fit] = []
     rejected: list[Rejection] = []
@@ -100,7 +100,7 @@ def identify(
 
 
 def rejection(candidate: Candidate, reason: str, passed: int, target: str = "") -> Rejection:
-    """Say why a candidate is not a target, or none of them."""
+    """Return the record of a candidate that is not a target, or none of the targets."""
     return Rejection(
         reason=reason,
         passed=passed,
@@ -115,7 +115,7 @@ def rejection(candidate: Candidate, reason: str, passed: int, target: str = "") 
 def _first_looks(
     ordered: OrderedScan, candidate: Candidate, targets: Sequence[Target], sizes: Sequence[Size]
 ) -> list[OutlineFit | _Misfit]:
-    """Lay the outline of each target over a candidate, and turn down those that cannot be it."""
+    """Lay the outline of each target over a candidate, and reject targets that cannot be it."""
     options, looks = ordered.options, list[OutlineFit | _Misfit]()
     boundary = Boundary.of(ordered, candidate.rows, candidate.plane)
     for target, size in zip(targets, sizes, strict=True):
@@ -233,13 +233,13 @@ def _judged(ordered: OrderedScan, suspect: _Suspect, estimate: PoseEstimate, mar
 
 
 def _returns_at(ordered: OrderedScan, target: Target, look: OutlineFit) -> Ints:
-    """(N,) rows of the returns inside an outline, and as far outside as the target blooms."""
+    """Return the rows (N,) of returns inside an outline, and outside it as far as the target blooms."""
     margin = edge_margin(ordered, target, look.T_lidar_target, _LOOK_SD)
     return returns_of(ordered, target, look.T_lidar_target, margin)
 
 
 def _likelihoods(scan: Scan, ordered: OrderedScan, fits: Sequence[_Fit]) -> Floats:
-    """Return the log likelihood of each fit, from the same returns: those that all of them take for theirs."""
+    """Return the log likelihood of each fit, from the returns that all fits share."""
     if len(fits) == 1:
         return np.array([fits[0].estimate.log_likelihood])
     ends = [ring_ends(ordered, fit.rows) for fit in fits]

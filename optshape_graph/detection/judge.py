@@ -17,14 +17,14 @@ from optshape_graph.pose import PoseEstimate
 from optshape_graph.se3 import apply
 from optshape_graph.target import Target
 
-_ALIKE = 14.0  # log odds that a rectangle is spared, for nothing tells it from another of nearly its size
+_ALIKE = 14.0  # log odds given to a rectangular target, which cannot differ from rectangles of nearly its size
 _CENTRAL = 1.96  # standard deviations about the plane within which 95 % of the returns lie
 
 
 def edge_margin(scan: OrderedScan, target: Target, T_lidar_target: Floats, pose_sd: float) -> float:
     """Return how far outside the outline a return of the target may lie, metres: half a beam, noise, the pose's error.
 
-    A pose that is not determined would allow anything; a tenth of the target is enough.
+    The margin is at most a tenth of the target, since a pose that is not determined would allow any.
 
     Args:
         scan: the ordered scan.
@@ -40,9 +40,9 @@ def edge_margin(scan: OrderedScan, target: Target, T_lidar_target: Floats, pose_
 def outline_error(estimate: PoseEstimate) -> float:
     """Return the largest standard deviation of the outline's place among the rays, metres.
 
-    An error of the plane moves the outline and the returns along the same rays, so the plane counts as given.
+    An error of the plane moves outline and returns along the same rays, so the plane counts as exact.
     """
-    within = np.ix_([0, 4, 5], [0, 4, 5])  # the turn about the normal, y and z
+    within = np.ix_([0, 4, 5], [0, 4, 5])  # rotation about the normal, y and z
     given = np.linalg.inv(np.linalg.inv(estimate.covariance)[within])
     return float(np.sqrt(np.linalg.eigvalsh(given[1:, 1:])[-1]))
 
@@ -50,9 +50,9 @@ def outline_error(estimate: PoseEstimate) -> float:
 def returns_of(scan: OrderedScan, target: Target, T_lidar_target: Floats, margin: float) -> Ints:
     """Return the rows (N,) of a target's returns: in its plane, inside its outline or at most `margin` outside.
 
-    A ring whose rays nearly all pass through the target's place does not meet it: what returns there is a pole. Rays
-    within the margin may pass beside the target, and about a sharp tip most of a ring's do; they count only where what
-    returns is in the margin too.
+    If nearly all rays of a ring pass through the target's place, its returns there are not of the target but of a pole.
+    Rays within the margin may pass beside the target, as most do at a sharp tip; they count only if the returns are in
+    the margin, too.
     """
     rays = returned_near(scan, T_lidar_target, target.circumradius + margin)
     band = scan.band(T_lidar_target[:3, 0], T_lidar_target[:3, 3])
@@ -70,10 +70,10 @@ def returns_of(scan: OrderedScan, target: Target, T_lidar_target: Floats, margin
 
 
 def undoubted(scan: OrderedScan, estimate: PoseEstimate, rows: Ints) -> Bools:
-    """(N,) which of a target's returns (N,) are its own beyond doubt: well inside its outline, and close to its plane.
+    """Return (N,) which of a target's returns (N,) are certain: well inside its outline, and close to its plane.
 
-    A return from the rim may owe part of its light to what is behind, and the outline's place has an error; so inside
-    is more than a standard deviation of the position within it. Close to the plane are all but the outermost 5 %.
+    Part of the light of a return from the rim may come from behind, and the outline's place has an error; so a return
+    must be more than a standard deviation of the position inside. All but the outermost 5 % are close to the plane.
     """
     T = estimate.T_target_lidar
     points = scan.points[rows]
@@ -86,14 +86,14 @@ def undoubted(scan: OrderedScan, estimate: PoseEstimate, rows: Ints) -> Bools:
 
 
 def judge(scan: OrderedScan, candidate: Candidate, own: Ints, estimate: PoseEstimate, margin: float) -> Evidence:
-    """Weigh what speaks for a target at a pose.
+    """Return the evidence for a target at a pose.
 
     Args:
         scan: the ordered scan.
         candidate: the surface.
         own: (M,) rows of the ordered scan, the target's returns.
         estimate: the pose.
-        margin: metres about the outline within which a ray may be on either side.
+        margin: distance from the outline, metres, within which a ray may be on either side.
     """
     target = estimate.target
     slack = 2.0 * margin / float(target.offsets.min())
@@ -105,7 +105,7 @@ def judge(scan: OrderedScan, candidate: Candidate, own: Ints, estimate: PoseEsti
     on, through, before = np.abs(behind) <= band, behind > band, behind < -band
 
     def regions(crossing: Floats) -> tuple[Bools, Bools, Bools]:
-        """Inside the outline, beside it, and either or on its rim."""
+        """Return which rays are inside the outline, which beside it, and which are either or on its rim."""
         gauge = (crossing @ (target.normals / target.offsets[:, None]).T).max(axis=1)
         return gauge < 1.0 - slack, (gauge > 1.0 + slack) & (gauge < outer), gauge <= 1.0 + slack
 
@@ -133,7 +133,7 @@ def judge(scan: OrderedScan, candidate: Candidate, own: Ints, estimate: PoseEsti
 
 
 def objections(evidence: Evidence, least: Evidence) -> list[str]:
-    """Say what speaks against a target that must reach the `least` shares, the largest shortfall first."""
+    """Return the reasons against a target that must reach the `least` shares, the largest shortfall first."""
     reasons = {
         "contained": f"{1 - evidence.contained:.0%} of the connected returns lie outside its outline",
         "covered": f"only {evidence.covered:.0%} of the rays that should meet it return from its plane",
@@ -152,20 +152,22 @@ def objections(evidence: Evidence, least: Evidence) -> list[str]:
 
 
 def not_stepped(share: float) -> str:
-    """Say that too few rings end in a jump of the range."""
+    """Return the reason that too few rings end in a jump of the range."""
     return f"only at {share:.0%} of the ends of its rings does the range jump back"
 
 
 def _beyond_sides(
     scan: OrderedScan, estimate: PoseEstimate, rays: Rays, fired: Floats, band: float
 ) -> tuple[float, float]:
-    """Share of the rays just beyond a side that do not meet something that begins there, at the worst side; and share
-    of the outline just beyond which rays pass, half as many as elsewhere at least, and nothing stops them before it.
+    """Return the shares of `Evidence.apart` and `Evidence.seen`.
 
-    A surface through the side, like the next face of a box, is met by a ray that misses the side by q within
-    q / cos(incidence) of it; what is in the target's own plane, give or take the noise, is looked past. What stands
-    behind a target is further away. In front of a target the floor may be seen at a more grazing angle, and little
-    else can be, so a wider strip is looked at there.
+    The first is the share, at the worst side, of the rays just beyond a side that do not meet something that begins at
+    that side. The second is the share of the outline beyond which rays pass unhindered, at least half as densely as
+    elsewhere.
+
+    A ray that misses a side by q meets a surface through that side, such as the next face of a box, within
+    q / cos(incidence) of it. Returns in the target's own plane, up to the noise, do not count. Objects behind a target
+    are further away. In front of a target the floor may be seen at a grazing angle, so a wider strip is used there.
     """
     options, target, sensor = scan.options, estimate.target, estimate.T_target_lidar[:3, 3]
     start = target.polygon
@@ -174,7 +176,7 @@ def _beyond_sides(
     density = max(float(target.contains(fired).sum()), 1.0) / target.area
 
     def passed(crossing: Floats) -> tuple[Ints, Floats]:
-        """Side (N,) that each ray passes, and by how much, metres."""
+        """Return the side (N,) that each ray passes, and the distance from it, metres."""
         outside = crossing @ target.normals.T - target.offsets
         side = outside.argmax(axis=1)
         return side, outside[np.arange(len(side)), side]
@@ -190,7 +192,7 @@ def _beyond_sides(
     slack = options.band_sigmas * scan.resolution.range_noise
 
     def attached(reach: Floats, angle: float, farthest: float, off_plane: Bools) -> float:
-        """Share of the rays within `reach` (n,) beyond a side, that begin at it, at the worst side."""
+        """Return, at the worst side, the share of the rays within `reach` (n,) beyond it whose surface begins there."""
         near = (outside > 0) & (outside < reach[side])
         begins = near & off_plane & (of_return <= np.minimum(of_ray / np.cos(angle) + slack, farthest))
         on = near & (np.abs(rays.points[:, 0]) <= band)

@@ -14,7 +14,7 @@ from optshape_graph.pose import PoseOptions
 class DetectionOptions:
     """Settings of `detect_targets`. The defaults suit spinning LiDARs of 16 to 128 rings.
 
-    Each attribute says its unit, how its default was chosen, and the test in tests/detection that notices when it is
+    Each attribute states its unit, how its default was chosen, and the test in tests/detection that notices when it is
     wrong. test_options.py moves every one of them to where it is.
 
     Attributes:
@@ -41,35 +41,36 @@ class DetectionOptions:
             Test: test_options.py.
         size_seen: share of a target's area, and of its spread, that must be covered in full view.
             Test: test_options.py.
-        size_seen_hidden: the same where something stands before the target. Test: test_options.py.
-        size_seen_cut: the same where the target reaches the lowest or highest ring. The nearest recorded boards do.
+        size_seen_hidden: the same if something stands before the target. Test: test_options.py.
+        size_seen_cut: the same if the target reaches the lowest or highest ring. The nearest recorded boards do.
             Test: test_options.py.
         size_excess: share by which a target may seem too large. Half a step at both ends of each ring, mixed returns
-            and a bit of a stand add up to this at most. Test: test_options.py.
+            and a part of a stand add up to no more. Test: test_options.py.
         thickest_limb: metres. Arms and poles are up to this wide. Test: test_candidates.py, an arm.
         limb_slack: azimuth steps by which a line through two ring ends may miss a third.
             Test: test_candidates.py, a convex outline has no limbs.
-        least_evidence: the share of each kind below which a surface is no target. Stands and arms touch targets, hands
-            hide them, returns get lost. Test: test_options.py.
-        sure_evidence: the share of each kind below which a target is not named ok. The recorded boards stay above by
-            0.03 at least, those held in hands included. Test: test_options.py.
+        least_evidence: a surface is not a target below these shares. Stands and arms touch targets, hands hide them,
+            returns get lost. Test: test_options.py.
+        sure_evidence: a target is not "ok" below these shares. The recorded boards, including those held in hands,
+            stay above by at least 0.03. Test: test_options.py.
         rim: width of the strip beside the target that is looked at, as a share of the distance from its origin to its
             outline. Test: test_options.py.
-        side_strip: metres beyond each side in which the next face of a box is looked for, past what the noise blurs.
-            Six rays at least. Test: test_options.py.
+        side_strip: width, metres, of the strip beyond each side, outside the range of the noise, in which the next face
+            of a box is looked for; it has at least six rays. Test: test_options.py.
         hung_before: metres to the nearest wall that a target may hang before. Test: test_options.py.
         grazing: rad. The floor before a box is seen at up to this angle of incidence: 15 m away, from 1.3 m.
             Test: test_options.py.
-        pierced_rays: rays of a ring that pass through the target's place, at least, before the ring is not its.
+        pierced_rays: a ring does not meet the target if at least so many of its rays pass through the target's place,
             Test: test_options.py.
-        pierced_share: and their number as a multiple of the ring's returns on it. Test: test_detect.py, pole in the
+        pierced_share: and if they are at least so many times its returns there. Test: test_detect.py, pole in the
             plane.
-        rounds: the returns are chosen again, by the outline laid over them, at most this often. The recorded boards
-            come to rest in two. Test: test_options.py.
-        first_look: share of ring ends on an outline laid over them below which a target is turned down before its pose
-            is estimated. Right targets reach 0.87 or more. Test: test_options.py.
-        first_look_odds: log odds by which a target's outline may fit worse than another's before it is turned down.
-            Twice the margin below which two poses count as equally likely. Test: test_options.py.
+        rounds: the returns are chosen again, by the outline laid over them, at most this often. For the recorded
+            boards they stay the same after two rounds. Test: test_options.py.
+        first_look: a target is rejected before its pose is estimated if a smaller share of the ring ends lies on its
+            outline. Right targets reach 0.87 or more. Test: test_options.py.
+        first_look_odds: a target is rejected before its pose is estimated if its outline fits worse than another's by
+            more than these log odds: twice the margin below which two poses count as equally likely.
+            Test: test_options.py.
         pose: settings of the pose estimator, which judges each candidate.
     """
 

@@ -1,8 +1,8 @@
-"""Lay a target's outline over the ends of rings, in their plane: a quick look before the pose is estimated, and after.
+"""A target's outline laid over ring ends in their plane: a quick fit before the pose is estimated, and after.
 
-The quick look tries every turn of the outline, with the centre of its area where the rings' area has its own. The best
-are worked out by Gauss-Newton steps with weights that let stray ends go (Cauchy's, narrowing). Beside turn and place,
-a common shift across the edges is fitted: how much of a beam must hit an edge, and how much a bright target blooms.
+The first look tries every turn of the outline, with the centre of its area at that of the rings' area. The best turns
+are refined by Gauss-Newton steps with weights that ignore stray ends (Cauchy's, narrowing). Beside turn and place, a
+common shift across the edges is fitted, since the beam's width and blooming move all ring ends alike.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from optshape_graph.plane import ReturnsPlane
 from optshape_graph.target import Target
 
 _ANGLES = np.linspace(0.0, 2 * np.pi, 36, endpoint=False)
-_STARTS = 4  # turns that are worked out
-_STEPS = 6  # of Gauss and Newton, from each
-_MOST_RINGS = 32  # that a quick look needs, evenly over all
-_STRAYS = 0.1  # share of ends that lie anywhere: mixed, lost, or on what touches the target
+_STARTS = 4  # turns that are refined
+_STEPS = 6  # Gauss-Newton steps from each
+_MOST_RINGS = 32  # rings that a first look uses at most, evenly over all
+_STRAYS = 0.1  # share of ends that lie anywhere: mixed, lost, or on something that touches the target
 _PLACE, _SHIFT = 0.2, 0.03  # prior standard deviations of the place and of the common shift, in circumradii
 _FITTED = 4  # numbers that are fitted: turn, place, shift
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Boundary(Value):
-    """Where a surface ends, by the ends of its rings.
+    """The boundary of a surface, from the ends of its rings.
 
     Attributes:
         plane: of the surface.
-        at: (M, 2) where it is expected to end beyond each ring end, metres, along the plane's axes.
-        sd: (M,) standard deviation of that, metres.
+        at: (M, 2) expected end of the surface beyond each ring end, metres, along the plane's axes.
+        sd: (M,) its standard deviation, metres.
     """
 
     plane: ReturnsPlane
@@ -41,15 +41,15 @@ class Boundary(Value):
 
     @classmethod
     def of(cls, scan: OrderedScan, rows: Ints, plane: ReturnsPlane, hidden: Bools | None = None) -> Boundary:
-        """Look at the ends of the rings on a surface.
+        """Return the boundary of a surface.
 
-        It ends half a step beyond a ring's last return, give or take that and the beam.
+        It ends half a step beyond a ring's last return, with an uncertainty of half a step and of the beam.
 
         Args:
             scan: the ordered scan.
             rows: (N,) of it, the surface's returns.
             plane: through them.
-            hidden: (2 R,) ends that say nothing, in the order of `ring_ends`; None: all say something.
+            hidden: (2 R,) ends that do not count, in the order of `ring_ends`; None: all count.
         """
         ends = ring_ends(scan, rows)
         if hidden is not None:
@@ -73,9 +73,9 @@ class OutlineFit(Value):
 
     Attributes:
         T_lidar_target: (4, 4).
-        shift: of all ends across the edges, metres: outwards where the target blooms.
+        shift: of all ends across the edges, metres; outwards if the target blooms.
         edged: share of the ends within two standard deviations of the outline.
-        log_odds: of this shape against any other of its size, whose ends lie anywhere within a fifth of it.
+        log_odds: of this shape against any other of its size, whose ends lie anywhere within a fifth of its size.
     """
 
     T_lidar_target: Floats
@@ -85,7 +85,7 @@ class OutlineFit(Value):
 
 
 def first_look(boundary: Boundary, centroid: Floats, target: Target) -> OutlineFit:
-    """Lay a target's outline over a boundary, turned any way.
+    """Return the outline that fits a boundary best, at any turn.
 
     Args:
         boundary: of a surface.
@@ -101,7 +101,7 @@ def first_look(boundary: Boundary, centroid: Floats, target: Target) -> OutlineF
 
 
 def look_again(boundary: Boundary, target: Target, T_lidar_target: Floats) -> OutlineFit:
-    """Lay a target's outline over a boundary, at a pose (4, 4) and near it."""
+    """Return the outline that fits a boundary best near a pose (4, 4)."""
     left, up = boundary.plane.axes[1:]
     y, z = T_lidar_target[:3, 1], T_lidar_target[:3, 2]
     middle = boundary.at.mean(axis=0)
@@ -111,22 +111,22 @@ def look_again(boundary: Boundary, target: Target, T_lidar_target: Floats) -> Ou
 
 
 def _beyond(turned: Floats, t: Floats, target: Target) -> Floats:
-    """Distance (K, n, M) beyond each side of points (K, 2, M), turned, and then moved by t (K, 2)."""
+    """Return how far turned points (K, 2, M), moved by t (K, 2), are beyond each side (K, n, M)."""
     return np.asarray(target.normals @ (turned + t[..., None]) - target.offsets[:, None])
 
 
 def _work_out(
     boundary: Boundary, middle: Floats, target: Target, angle: Floats, start: Floats, width: float
 ) -> OutlineFit:
-    """Work out the best of some starts.
+    """Refine the best of some starts.
 
     Args:
         boundary: of a surface.
-        middle: (2,) that is turned about, metres.
+        middle: (2,) centre of the turn, metres.
         target: the template.
         angle: (K,) turns, rad.
-        start: (K, 2) where the middle is in the target's frame, metres.
-        width: of the weights at first, in circumradii.
+        start: (K, 2) the middle in the target's frame, metres.
+        width: initial width of the weights, in circumradii.
     """
     size, sd, q = target.circumradius, boundary.sd, boundary.at - middle
     t, shift = start, np.zeros(len(angle))
@@ -164,7 +164,7 @@ def rectangle_log_odds(boundary: Boundary, size: float) -> float:
     """
     q, sd = boundary.at - np.median(boundary.at, axis=0), boundary.sd
     extent = float(np.linalg.norm(q, axis=1).max())
-    # Turned any way, its sides are where most ends lie; the best turns are worked out, turn and sides being free.
+    # At any turn the sides are where most ends lie; the best turns are refined, with turn and sides free.
     angle = np.linspace(0.0, np.pi / 2, 18, endpoint=False)
     turned = _turned(angle, q)
     inner, outer = np.percentile(turned, [6.0, 94.0], axis=2)
@@ -186,22 +186,22 @@ _RIGHT_ANGLES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 
 
 def _outside_rectangle(fitted: Floats, q: Floats) -> tuple[Floats, Ints, Floats]:
-    """Distance (K, M) of points outside rectangles (K, 5) of a turn and four sides, the side's number, the points."""
+    """Return how far points are outside rectangles (K, 5) of a turn and four sides (K, M), the side, and the points."""
     turned = _turned(fitted[:, 0], q)
     beyond = np.concatenate([turned, -turned], axis=1) - fitted[:, 1:, None]
     return beyond.max(axis=1), beyond.argmax(axis=1), turned
 
 
 def _turned(angle: Floats, q: Floats) -> Floats:
-    """(K, 2, M) points (M, 2) turned by angles (K,)."""
+    """Return points (M, 2) turned by angles (K,), as (K, 2, M)."""
     c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
     return np.stack([c * q[:, 0] - s * q[:, 1], s * q[:, 0] + c * q[:, 1]], axis=1)
 
 
 def _log_odds(off: Floats, sd: Floats, size: float, n_fitted: int) -> Floats:
-    """(K,) log odds of shapes, the ends being off by (K, M) metres, against one whose ends lie anywhere in reach.
+    """Return log odds (K,) of shapes with ends off by (K, M) metres, against one whose ends lie anywhere in reach.
 
-    What is fitted takes its share of the odds.
+    Each fitted number lowers the odds.
     """
     reach = 0.4 * size
     fits = np.exp(-0.5 * (off / sd) ** 2) * reach / (np.sqrt(2 * np.pi) * sd)
@@ -210,7 +210,7 @@ def _log_odds(off: Floats, sd: Floats, size: float, n_fitted: int) -> Floats:
 
 
 def _centroid(target: Target) -> Floats:
-    """(2,) centroid of a target's area, metres."""
+    """Return the centroid (2,) of a target's area, metres."""
     polygon = target.polygon
     following = np.roll(polygon, -1, axis=0)
     cross = polygon[:, 0] * following[:, 1] - following[:, 0] * polygon[:, 1]

@@ -1,4 +1,4 @@
-"""Planar patches: ring segments that lie in one plane, one above the other."""
+"""Planar patches: ring segments in one plane, one above the other."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ class Patch(Value):
 def find_patches(scan: OrderedScan, shortest: float, longest: float) -> list[Patch]:
     """Find the planar patches that segments of a target's size form.
 
-    Every segment looks for the plane through itself that most of its surroundings support: a plane through a line
-    has one angle left, and each segment nearby votes for one. Neighbouring segments that lie in each other's planes
-    are of one patch. Nothing larger than `longest` takes part, so that walls and floors cost nothing.
+    For every segment, the plane through it with the most support nearby is found: a plane through a line has one free
+    angle, and each segment nearby votes for one. Neighbouring segments that lie in each other's planes form a patch.
+    Segments longer than `longest` are left out, so that walls and floors cost no time.
 
     Args:
         scan: the ordered scan.
-        shortest: length of a segment at least, metres.
-        longest: length of a segment, and how far around it is looked for others, at most, metres.
+        shortest: smallest length of a segment, metres.
+        longest: largest length of a segment, and largest distance of its neighbours, metres.
     """
     options = scan.options
     chord = np.linalg.norm(scan.points[scan.last] - scan.points[scan.first], axis=1)
@@ -96,7 +96,7 @@ def find_patches(scan: OrderedScan, shortest: float, longest: float) -> list[Pat
 
 
 def _moments(scan: OrderedScan, segments: Ints) -> Floats:
-    """(S, 10) number, sum and second moments of the returns of some segments."""
+    """Return number, sum and second moments (S, 10) of the returns of some segments."""
     count = scan.last[segments] - scan.first[segments] + 1
     begin = np.cumsum(count) - count
     rows = np.arange(count.sum()) + np.repeat(scan.first[segments] - begin, count)
@@ -106,7 +106,7 @@ def _moments(scan: OrderedScan, segments: Ints) -> Floats:
 
 
 def _mean_and_covariance(moments: Floats) -> tuple[Floats, Floats]:
-    """Mean (S, 3) and covariance (S, 3, 3) of sums (S, 10)."""
+    """Return mean (S, 3) and covariance (S, 3, 3) of sums (S, 10)."""
     scaled = moments[:, 1:] / np.maximum(moments[:, :1], 1.0)
     centre = scaled[:, :3]
     square = scaled[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
@@ -114,7 +114,7 @@ def _mean_and_covariance(moments: Floats) -> tuple[Floats, Floats]:
 
 
 def _mean_square(normal: Floats, through: Floats, centre: Floats, covariance: Floats) -> Floats:
-    """(P,) mean square distance of segments from planes, square metres."""
+    """Return the mean square distance (P,) of segments from planes, square metres."""
     offset = (normal * (centre - through)).sum(axis=1)
     return np.asarray(offset**2 + np.einsum("pi,pij,pj->p", normal, covariance, normal))
 
@@ -129,16 +129,16 @@ def _supported_planes(
     baseline: float,
     options: DetectionOptions,
 ) -> Floats:
-    """(S, 3) normal of the plane through each segment s that its neighbours t support, by total chord.
+    """Return the normal (S, 3) of the plane through each segment s that its neighbours t support most, by total chord.
 
     Args:
-        s: (P,) segments, ascending, and
-        t: (P,) their neighbours.
+        s: (P,) segments, ascending.
+        t: (P,) the neighbour of each.
         centre: (S, 3) of each segment.
         along: (S, 3) direction of each segment.
         chord: (S,) metres.
         moments: (S, 10).
-        baseline: metres beside the segment that a neighbour lies at least, to vote.
+        baseline: smallest distance, metres, of a neighbour that votes from the segment.
         options: the settings.
     """
     ray = centre / np.linalg.norm(centre, axis=1, keepdims=True)
@@ -157,7 +157,7 @@ def _supported_planes(
     support = weight[end] - weight[:-1]
     best = np.full(len(centre), -1)
     ranked = np.lexsort((support, s[order]))
-    best[s[order][ranked]] = ranked  # the last, that is the best, of each stays
+    best[s[order][ranked]] = ranked  # the last of each, which is the best, stays
     has = np.flatnonzero(best >= 0)
     middle = np.zeros(len(centre))
     sums = np.concatenate([[0.0], np.cumsum(chord[t[order]] * tilt[order])])
@@ -168,7 +168,7 @@ def _supported_planes(
 
 
 def _fit(s: Ints, t: Ints, moments: Floats, n: int, fallback: Floats) -> Floats:
-    """(S, 3) normals of least-squares planes of each segment and its members t; of none, the fallback."""
+    """Return normals (S, 3) of least-squares planes of each segment and its members t; without any, the fallback."""
     total = moments + np.array([np.bincount(s, column, n) for column in moments[t].T]).T
     _, vectors = np.linalg.eigh(_mean_and_covariance(total)[1])
     alone = np.bincount(s, minlength=n) == 0
@@ -176,7 +176,7 @@ def _fit(s: Ints, t: Ints, moments: Floats, n: int, fallback: Floats) -> Floats:
 
 
 def _overlap(scan: OrderedScan, first: Ints, last: Ints, s: Ints, t: Ints) -> Bools:
-    """(P,) whether segments overlap in azimuth, give or take a step, across the seam too."""
+    """Return (P,) whether segments overlap in azimuth to within a step, also across the seam."""
     middle = 0.5 * (scan.azimuth[first] + scan.azimuth[last])
     half = 0.5 * (scan.azimuth[last] - scan.azimuth[first])
     apart = np.abs((middle[s] - middle[t] + np.pi) % (2 * np.pi) - np.pi)

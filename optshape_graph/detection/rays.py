@@ -19,8 +19,8 @@ class Rays(Value):
 
     Attributes:
         rows: (N,) of the ordered scan.
-        crossing: (N, 2) where they meet the target's plane, target frame, metres.
-        points: (N, 3) where they returned, target frame, metres: x is how far behind the plane, negative in front.
+        crossing: (N, 2) points at which they meet the target's plane, target frame, metres.
+        points: (N, 3) their returns, target frame, metres; x is the distance behind the plane, negative in front.
     """
 
     rows: Ints
@@ -44,9 +44,9 @@ def returned_near(scan: OrderedScan, T_lidar_target: Floats, radius: float) -> R
 
 
 def fired_near(scan: OrderedScan, T_lidar_target: Floats, radius: float) -> Floats:
-    """Return where the rays that were fired within `radius` of a target's origin meet its plane, (M, 2), metres.
+    """Return where rays fired within `radius` of a target's origin meet its plane, (M, 2), metres.
 
-    Whether they returned or not: azimuths a step apart on every ring of the sensor.
+    These are all rays, returned or not, with azimuths a step apart on every ring of the sensor.
     """
     centre, T = T_lidar_target[:3, 3], inverse(T_lidar_target)
     away, flat = float(np.linalg.norm(centre)), float(np.hypot(centre[0], centre[1]))
@@ -64,7 +64,7 @@ def fired_near(scan: OrderedScan, T_lidar_target: Floats, radius: float) -> Floa
 
 
 def _cross(points: Floats, sensor: Floats, ranges: Floats, radius: float) -> tuple[Floats, Bools]:
-    """Where the rays to points (N, 3), target frame, meet its plane (N, 2); which (N,) do so within a radius."""
+    """Return where rays to points (N, 3), target frame, meet its plane (N, 2), and which (N,) do so within a radius."""
     rays = points - sensor
     ahead = rays[:, 0] > _STEEP * ranges
     scale = -sensor[0] / np.where(ahead, rays[:, 0], 1.0)

@@ -1,4 +1,4 @@
-"""What detection finds in a scan, and what it turned down."""
+"""Results of detection: targets found in a scan, the evidence for them, and rejected surfaces."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from optshape_graph.target import Target
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Evidence(Value):
-    """What speaks for a target at a pose: shares of rays, each 1 for a target that hangs free and is seen whole.
+    """The evidence for a target at a pose: shares of rays, each 1 for a target that hangs free and is seen whole.
 
     Attributes:
-        contained: of the connected returns in its plane, those inside its outline.
-        covered: of the rays that should meet it, occluded ones apart, those that return from its plane.
-        edged: of the ends of its rings, those on its outline.
-        solid: of the returns from inside its outline or from behind it, those that are not from behind.
-        free: of the rays that pass beside it, those that see past it: around a window cut out of a wall, none do;
-            below a box on the floor, none do.
-        stepped: of the ends of its rings, those where the range jumps back, or nothing returns: where a surface
-            bends away, or something stands before it, there is no edge to be seen.
-        apart: of the rays just beyond the side where it is least, those that do not return from something that begins
-            at that side: the next face of a box, the floor.
-        seen: of its outline, the part just beyond which rays pass: none do out of the field of view, behind something,
-            or between two rings far apart.
-        distinct: probability that it is no surface of another shape, such as a rectangle: few ring ends fit any.
+        contained: of the connected returns in its plane, the share inside its outline.
+        covered: of the rays that should meet it, except occluded ones, the share that returns from its plane.
+        edged: of the ends of its rings, the share on its outline.
+        solid: of the returns from inside its outline, in its plane or behind, the share that is not behind.
+        free: of the rays that pass beside it, the share that sees past it; 0 around a window cut out of a wall.
+        stepped: of the ends of its rings, the share where the range jumps back, or nothing returns. Where a surface
+            bends away, or something stands before it, there is no edge.
+        apart: of the rays just beyond a side, the share that does not return from something that begins at that side,
+            such as the next face of a box, or the floor; at the worst side.
+        seen: the share of its outline just beyond which rays pass. None pass outside the field of view, behind
+            something, or between two rings far apart.
+        distinct: probability that it is not a surface of another shape, such as a rectangle; few ring ends fit any
+            shape.
     """
 
     contained: float
@@ -58,19 +58,20 @@ class Detection(Value):
     """A target found in a scan.
 
     Attributes:
-        target: which one.
+        target: the target.
         estimate: its pose, from these returns.
-        indices: (K,) rows of the scan that are its returns, those at its rim and of much noise included: the pose's.
-        doubtful: (K,) whether each might be taken for something else: outside the outline or within a standard
-            deviation of it, or among the 5 % furthest from the plane.
-        evidence: for it.
-        rival: the next likely of the targets asked for, where one fits as well; else None.
-        margin: difference of log likelihoods to the rival; infinite where there is none.
-        probabilities: by name, of each of the targets asked for that fits, had all been as likely before; the likeliest
-            first. They sum to 1: that it is one of them is what `evidence` is for.
-        status: "ok"; "doubtful" where the returns do not fit the model; "ambiguous" where another of the targets,
-            another pose of this one, or a surface of another shape is not ruled out; "failed" where the target is
-            there, but its returns leave its pose undetermined.
+        indices: (K,) rows of the scan of all returns that the pose uses, including those at the rim and with much
+            noise.
+        doubtful: (K,) whether each may be of something else: outside the outline or within a standard deviation of it,
+            or among the 5 % furthest from the plane.
+        evidence: for the target.
+        rival: the next likely of the targets that fit, or None.
+        margin: difference of log likelihoods to the rival; infinite without a rival.
+        probabilities: by name, of each target that fits, for equal prior probabilities; the likeliest first. They sum
+            to 1; whether it is one of them at all is told by `evidence`.
+        status: "ok"; "doubtful" if the returns do not fit the model; "ambiguous" if another target, another pose of
+            this one, or a surface of another shape is not ruled out; "failed" if the target is there, but its returns
+            leave its pose undetermined.
         reason: why not "ok", else empty.
     """
 
@@ -91,12 +92,12 @@ class Detection(Value):
 
     @property
     def score(self) -> float:
-        """How well it fits, 0 to 1: `Evidence.score`."""
+        """Product of the shares of the evidence, 0 to 1 (`Evidence.score`)."""
         return self.evidence.score
 
     @property
     def measurement(self) -> TemplateMeasurement:
-        """The estimate's, of T_target_lidar: what factors are made of."""
+        """The estimate's measurement of T_target_lidar, from which factors are made."""
         return self.estimate.measurement
 
     def __repr__(self) -> str:
@@ -105,7 +106,7 @@ class Detection(Value):
         return shortened(f"Detection({self.target.name!r} {self.status}: {said})")
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the JSON form says of this target, as plain data."""
+        """Return the target's entry in the JSON form, as plain data."""
         estimate = self.estimate
         return {
             "target": self.target.name,
@@ -127,12 +128,12 @@ class Detection(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rejection(Value):
-    """A surface that was looked at and is none of the targets.
+    """A surface that was tested and is not one of the targets.
 
     Attributes:
-        reason: what speaks against it, with numbers.
-        passed: how many of the tests it passed: of its size, its rings, how they end, its pose, and its evidence.
-        target: name of the target that it was compared with; empty: with all.
+        reason: the reason against it, with numbers.
+        passed: number of tests that it passed: of size, rings, their ends, pose, and evidence.
+        target: name of the target that it was compared with; empty: all targets.
         centre: (3,) metres, LiDAR frame.
         n_returns: its returns.
         n_rings: rings they are on.
@@ -151,7 +152,7 @@ class Rejection(Value):
         object.__setattr__(self, "centre", frozen(self.centre))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the JSON form says of this surface, as plain data."""
+        """Return the surface's entry in the JSON form, as plain data."""
         return {
             "reason": self.reason,
             "passed": self.passed,
@@ -165,11 +166,11 @@ class Rejection(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Detections(Result):
-    """What was found in one scan.
+    """The detections in one scan.
 
     Attributes:
-        found: targets, the best score first; empty: none.
-        rejected: surfaces of about a target's size that are none, the one that passed the most tests first.
+        found: targets, the best score first.
+        rejected: other surfaces of about a target's size, the one that passed the most tests first.
         scan: name of the scan.
     """
 
@@ -184,7 +185,7 @@ class Detections(Result):
         return shortened(f"Detections({len(self.found)} found: {named}; {len(self.rejected)} rejected)")
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the JSON form says of this scan, as plain data."""
+        """Return the scan's entry in the JSON form, as plain data."""
         return {
             "scan": self.scan or "scan",
             "targets": [one.to_dict() for one in self.found],

@@ -1,4 +1,4 @@
-"""The scan ring by ring: cut into segments, into runs of one surface, and how those end."""
+"""A scan ring by ring: segments between jumps of the range, runs of one surface, and the ends of runs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TURNS = (-2 * np.pi, 0.0, 2 * np.pi)  # an azimuth near the seam of the circle 
 
 @dataclass(frozen=True)
 class Resolution:
-    """What a sensor's errors and sampling let one tell apart.
+    """The resolution of a sensor, by its errors and its sampling.
 
     Attributes:
         step: rad between two firings of a beam.
@@ -47,7 +47,7 @@ class OrderedScan(Value):
         first: (S,) first return of each segment.
         elevations: (R,) rad of each ring, ascending: the sensor's, or as seen.
         resolution: of the sensor that made it.
-        options: the settings it was cut with, for all that follows.
+        options: the settings of detection, used in all steps.
     """
 
     index: Ints
@@ -75,7 +75,7 @@ class OrderedScan(Value):
 
     @cached_property
     def ring_heights(self) -> Floats:
-        """(R,) elevation that each ring stands for, rad: half way to the next on either side."""
+        """(R,) range of elevations that each ring covers, rad: half way to the next ring on either side."""
         return np.asarray(np.gradient(self.elevations))
 
     @cached_property
@@ -88,7 +88,7 @@ class OrderedScan(Value):
         return np.arange(len(self))
 
     def band(self, plane_normal: Floats, centre: Floats) -> float:
-        """Return how far off a plane its own returns lie at most, metres.
+        """Return the largest distance of a plane's own returns from it, metres.
 
         Ranges err along the ray, so a plane seen at an angle has a thinner band.
 
@@ -114,7 +114,7 @@ class OrderedScan(Value):
         return np.asarray(rows[self.points[rows] @ centre >= cosine * away * self.range[rows]])
 
     def _window(self, centre: Floats, reach: float) -> Ints:
-        """Rows of the returns whose azimuths are those of the points within `reach` of a point, ring by ring."""
+        """Return the rows of returns with the azimuths of points within `reach` of a point, ring by ring."""
         away = float(np.hypot(centre[0], centre[1]))
         rows = self._rows
         if reach >= away:
@@ -131,19 +131,19 @@ class OrderedScan(Value):
 def order_scan(scan: Scan, options: DetectionOptions) -> OrderedScan:
     """Sort a scan's returns along its rings, and cut the rings where the range jumps.
 
-    The azimuth step is the sensor's; where it does not state one, the median spacing of the returns. An unknown
-    sensor has a centimetre of noise and a centimetre of ring bias.
+    The azimuth step is the sensor's, or the median spacing of the returns if it states none. An unknown sensor has a
+    centimetre of noise and a centimetre of ring bias.
 
     Raises:
         InputError: the cloud has no rings.
-        EstimationError: fewer than two rings, or no azimuth step stated and none to be seen.
+        EstimationError: fewer than two rings, or no azimuth step, neither stated nor seen.
     """
     if scan.ring is None:
         raise rings_missing(scan)
     if len(scan) == 0 or scan.ring.min() == scan.ring.max():
         raise EstimationError(f"{scan.name}: returns on {min(len(scan), 1)} rings; a target needs several")
     azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
-    # Sorted by ring, whose numbers are small, what is left is runs in order already: both sorts are linear.
+    # Once sorted by ring, whose numbers are small, the returns are mostly in order: both sorts are linear.
     by_ring = np.argsort(scan.ring.astype(np.uint16), kind="stable")
     order = by_ring[np.argsort(_position(scan.ring, azimuth)[by_ring], kind="stable")]
     points, ring, azimuth = scan.points[order], scan.ring[order], azimuth[order]
@@ -155,12 +155,12 @@ def order_scan(scan: Scan, options: DetectionOptions) -> OrderedScan:
 
 
 def _position(ring: Ints, azimuth: Floats) -> Floats:
-    """Numbers that grow along each ring and from ring to ring, which spans less than 8 rad."""
+    """Return numbers that grow along each ring and from ring to ring; a ring spans less than 8 rad."""
     return np.asarray(ring * 8.0 + azimuth)
 
 
 def _elevations(points: Floats, ranges: Floats, ring: Ints) -> Floats:
-    """(R,) mean elevation of each ring that has returns, rad; of those between that have none, interpolated."""
+    """Return the mean elevation (R,) of each ring with returns, rad; for rings between without any, interpolated."""
     present, inverse = np.unique(ring, return_inverse=True)
     mean = np.bincount(inverse, np.arcsin(points[:, 2] / ranges)) / np.bincount(inverse)
     return np.interp(np.arange(present[-1] + 1), present, mean)
@@ -176,11 +176,12 @@ def _resolution(scan: Scan, azimuth: Floats, ring: Ints) -> Resolution:
 
 
 def _starts(ring: Ints, azimuth: Floats, ranges: Floats, resolution: Resolution, options: DetectionOptions) -> Bools:
-    """(N,) whether a segment starts at each return.
+    """Return (N,) whether a segment starts at each return.
 
-    A surface's range is continued in a straight line from the three returns on either side: the boundary is kept if
-    either prediction meets the return across it. That separates surfaces a few noises apart at any incidence, which
-    a bound on the jump itself cannot. Where a side is shorter than three returns, the plain jump decides.
+    On either side of a boundary, the range is continued in a straight line from three returns. The two sides are one
+    segment if either prediction meets the return across the boundary. That separates surfaces a few standard deviations
+    of the noise apart at any incidence, which a bound on the jump itself cannot. With fewer than three returns on a
+    side, the jump decides.
     """
     n, steepest = len(ring), np.tan(options.steepest)
     gap, jump = np.diff(azimuth, prepend=azimuth[:1]), np.diff(ranges, prepend=ranges[:1])
@@ -210,7 +211,7 @@ class Runs(Value):
 
     Attributes:
         rows: (N,) of the ordered scan, by ring and azimuth.
-        azimuth: (N,) rad, relative to the middle of them, across the seam.
+        azimuth: (N,) rad, relative to their middle, continuous across the seam.
         first: (K,) first return of each run, in `rows`.
         last: (K,) last return of each run.
         ring: (K,) of each run.
@@ -240,7 +241,7 @@ def find_runs(scan: OrderedScan, rows: Ints) -> Runs:
 
 
 def ring_ends(scan: OrderedScan, rows: Ints) -> Ints:
-    """(2 M,) of the `rows` (N,) at which rings begin, ring by ring, followed by those at which they end."""
+    """Return those of the `rows` (N,) at which rings begin, ring by ring, then those at which they end: (2 M,)."""
     runs = find_runs(scan, rows)
     first = np.flatnonzero(np.diff(scan.ring[runs.rows], prepend=-1))
     last = np.append(first[1:], len(runs.rows)) - 1
@@ -249,11 +250,11 @@ def ring_ends(scan: OrderedScan, rows: Ints) -> Ints:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Borders(Value):
-    """How the rings on a surface end, at both ends of each. Where neither holds, the surface bends away.
+    """The kinds of ring ends on a surface. An end that is neither open nor hidden is one where the surface bends away.
 
     Attributes:
-        open: (2 M,) the range jumps back beyond the end, or nothing returns: the surface ends there.
-        hidden: (2 M,) what follows stands before the surface, which may go on behind it.
+        open: (2 M,) whether the range jumps back beyond the end, or nothing returns, so that the surface ends there.
+        hidden: (2 M,) whether an object in front follows, behind which the surface may go on.
     """
 
     open: Bools
@@ -261,10 +262,9 @@ class Borders(Value):
 
 
 def find_borders(scan: OrderedScan, rows: Ints) -> Borders:
-    """Look at what follows beyond the ends of a surface's rings.
+    """Return the kinds of a surface's ring ends, by the returns beyond them.
 
-    Up to a few returns beyond an end, and segments as short, are passed over: part of their light came from what is
-    behind.
+    A few returns beyond an end, and segments as short, are skipped, since part of their light came from behind.
 
     Args:
         scan: the ordered scan.

@@ -1,4 +1,4 @@
-"""Targets in scan after scan, as a sensor delivers them."""
+"""Targets in successive scans, as a sensor delivers them."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
 REVOLUTION_S = 0.1
-"""Time between scans that have no stamps, seconds."""
+"""Time between scans without stamps, seconds."""
 
 _DEFAULTS = DetectionOptions()
 
 SURROUNDINGS = 2.0
-"""How far about a target returns are looked at, in its diameters: what hangs free is told by what is beside it."""
+"""Returns within so many diameters of a target are used: those beside it show whether it hangs free."""
 
 
 class TargetTracker:
-    """Finds targets in scan after scan: where they were, and everywhere now and then.
+    """Finds targets in successive scans: near their last places, and from time to time everywhere.
 
-    A scan is searched whole where it is the first, every so many scans, and at once where a target is not found again;
-    else only about where the targets of the scan before may be by now. What is found is what `detect_targets` finds
-    there. Scans are independent: no pose is smoothed.
+    The first scan is searched whole, and so is one in every `everywhere_every` scans, and any scan in which a target is
+    not found again. Others are searched only where the targets of the scan before may be by now. `detect_targets`
+    searches. Scans are independent: no pose is smoothed.
 
     Args:
         targets: one target or several to look for.
         options: the settings of detection.
-        everywhere_every: of so many scans one is searched whole, so that new targets are found; 1: all are.
-        speed: how fast a target moves in the sensor's frame at most, m/s.
-        turn_rate: how fast the sensor turns at most, rad/s.
+        everywhere_every: one in so many scans is searched whole, so that new targets are found.
+        speed: largest speed of a target in the sensor's frame, m/s.
+        turn_rate: largest rate of turn of the sensor, rad/s.
 
     Raises:
         InputError: a limit that is not positive; and as `detect_targets`.
@@ -85,7 +85,7 @@ class TargetTracker:
         return found
 
     def _about(self, scan: Scan, passed: float) -> Detections | None:
-        """What is found about where the targets may be after so many seconds; None: they may be anywhere."""
+        """Return the detections where targets may be after `passed` seconds; None: they may be anywhere."""
         near = np.zeros(len(scan), dtype=bool)
         ranges = np.linalg.norm(scan.points, axis=1)
         for one in self._found:
@@ -103,6 +103,6 @@ class TargetTracker:
         return replace(found, found=tuple(replace(one, indices=rows[one.indices]) for one in found.found))
 
     def _again(self, found: Detections) -> bool:
-        """Whether every target of the scan before is among those found."""
+        """Return whether every target of the scan before was found again."""
         before, now = ([one.target.name for one in some] for some in (self._found, found.found))
         return sorted(before) == sorted(now)

@@ -1,6 +1,6 @@
-"""How good the estimates are: metrics, Monte Carlo sweeps, tables beside the paper's, consistency.
+"""Evaluation of estimates: metrics, Monte Carlo sweeps, tables beside the paper's, consistency, verdicts.
 
-Names are imported when they are first used: every command says a verdict, and few evaluate.
+Names are imported when they are first used: every command prints a verdict, and few evaluate.
 """
 
 from typing import TYPE_CHECKING

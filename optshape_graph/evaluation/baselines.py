@@ -1,7 +1,7 @@
-"""How others find a board's pose: edge lines by RANSAC, and ICP to the template. For comparison only.
+"""Other methods for a board's pose: edge lines by RANSAC, and ICP to the template. For comparison only.
 
-Both take the returns of one target, as `estimate_pose` does, and know its template and which side the sensor is on.
-Neither has a covariance, a certificate or a word on what it is not sure of.
+Both take the returns of one target, as `estimate_pose` does, and know its template and on which side the sensor is.
+Neither gives a covariance, a certificate or a warning of ambiguity.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from optshape_graph.se3 import apply, inverse, transform
 from optshape_graph.target import Target
 
 INLIER = 0.03
-"""Distance from a line at which an edge point still belongs to it, metres: a few centimetres, as the tools have it."""
+"""Largest distance of an edge point from its line, metres: a few centimetres, as in common tools."""
 
 DRAWS = 300
-"""Pairs of edge points that each line is drawn from."""
+"""Pairs of edge points that are drawn for each line."""
 
 ITERATIONS = 60
 """Of ICP."""
 
 SPACING = 0.01
-"""Between the points of the outline that ICP matches, metres."""
+"""Spacing of the outline's points for ICP, metres."""
 
 
 def ransac_corners(scan: Scan, target: Target, seed: int = 0) -> Floats:
     """Fit a line to each edge by RANSAC, intersect neighbours in corners, and fit the template to the corners.
 
-    As the calibration tools do that look for boards in LiDAR scans: one line after the other, each from the edge
-    points that the ones before have left.
+    This is how common calibration tools find boards in LiDAR scans: one line after the other, each from the edge points
+    that the lines before have left.
 
     Args:
         scan: returns of the target; with rings.
@@ -59,7 +59,7 @@ def ransac_corners(scan: Scan, target: Target, seed: int = 0) -> Floats:
         along = np.linalg.svd(left[inliers] - centre)[2][0]
         lines.append((np.array([along[1], -along[0]]), centre))
         left = left[~inliers]
-    # In the order of the outline: by the direction in which each line lies from the middle.
+    # In the order of the outline: by the direction of each line from the middle.
     middle = edges.mean(axis=0)
     outward = [n * (np.sign(n @ (c - middle)) or 1.0) for n, c in lines]
     order = np.argsort([np.arctan2(n[1], n[0]) for n in outward])
@@ -75,8 +75,8 @@ def ransac_corners(scan: Scan, target: Target, seed: int = 0) -> Floats:
 def icp_to_template(scan: Scan, target: Target) -> Floats:
     """Register the returns to the template by ICP, from the centroid and the principal axes.
 
-    Ring ends are matched to the nearest points of the outline, in the plane that all returns have; of the two half
-    turns of the principal axes the one with the smaller residual counts.
+    Ring ends are matched to the nearest points of the outline, in the plane of all returns. The principal axes leave a
+    half turn open; the one with the smaller residual counts.
 
     Args:
         scan: returns of the target; with rings.
@@ -114,7 +114,7 @@ def icp_to_template(scan: Scan, target: Target) -> Floats:
 
 
 def _plane(points: Floats) -> Floats:
-    """(4, 4) frame of the returns' plane, x its normal away from the sensor, into the LiDAR's."""
+    """Return T_lidar_plane (4, 4) of the returns' plane, x being its normal away from the sensor."""
     centre = points.mean(axis=0)
     normal = np.linalg.eigh((points - centre).T @ (points - centre))[1][:, 0]
     normal *= np.sign(normal @ centre) or 1.0
@@ -124,7 +124,7 @@ def _plane(points: Floats) -> Floats:
 
 
 def _line_inliers(points: Floats, rng: np.random.Generator) -> np.ndarray:
-    """(N,) which points lie near the line, of those through two of them, that has the most."""
+    """Return (N,) which points lie near that line, through two drawn points, that has the most points near it."""
     best: np.ndarray = np.zeros(len(points), dtype=bool)
     for _ in range(DRAWS):
         a, b = points[rng.choice(len(points), 2, replace=False)]
@@ -141,7 +141,7 @@ def _line_inliers(points: Floats, rng: np.random.Generator) -> np.ndarray:
 
 
 def _best_turn(corners: Floats, target: Target) -> Floats:
-    """(4, 4) fit of the template to corners that are named in order from an unknown first one."""
+    """Return the fit (4, 4) of the template to corners that are in order, but with an unknown first one."""
     fits = [_rigid(target.polygon, np.roll(corners, -shift, axis=0)) for shift in range(len(target))]
     misfits = [
         float(np.square(target.polygon @ R.T + t - np.roll(corners, -shift, axis=0)).sum())
@@ -151,7 +151,7 @@ def _best_turn(corners: Floats, target: Target) -> Floats:
 
 
 def _rigid(source: Floats, image: Floats) -> tuple[Floats, Floats]:
-    """Rotation (2, 2) and translation (2,) that take `source` to `image` (n, 2), least squares."""
+    """Return the least-squares rotation (2, 2) and translation (2,) that take `source` to `image` (n, 2)."""
     a, b = source.mean(axis=0), image.mean(axis=0)
     U, _, Vt = np.linalg.svd((image - b).T @ (source - a))
     R = U @ np.diag([1.0, np.linalg.det(U @ Vt)]) @ Vt
@@ -165,7 +165,7 @@ def _in_plane(R: Floats, t: Floats) -> Floats:
 
 
 def _outline(target: Target) -> Floats:
-    """Points of the outline, `SPACING` apart."""
+    """Return points of the outline, `SPACING` apart."""
     ends = np.roll(target.polygon, -1, axis=0)
     counts: Ints = np.ceil(target.edge_lengths / SPACING).astype(np.int64)
     return np.vstack([
@@ -175,13 +175,13 @@ def _outline(target: Target) -> Floats:
 
 
 def _filled(target: Target) -> Floats:
-    """Points of the whole face on a grid."""
+    """Return points of the whole face on a grid."""
     (y0, z0), (y1, z1) = target.polygon.min(axis=0), target.polygon.max(axis=0)
     grid = np.stack(np.meshgrid(np.linspace(y0, y1, 60), np.linspace(z0, z1, 60)), axis=-1).reshape(-1, 2)
     return np.asarray(grid[target.contains(grid)])
 
 
 def _axis(points: Floats) -> float:
-    """Direction of the longest extent of points (N, 2), rad."""
+    """Return the direction of the longest extent of points (N, 2), rad."""
     along = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][0]
     return float(np.arctan2(along[1], along[0]))

@@ -22,10 +22,10 @@ from optshape_graph.simulation import NoiseModel, room, simulate
 from optshape_graph.target import Target
 
 MOST_TRIES = 1000
-"""Placements that are drawn for one that the camera sees whole."""
+"""Placements that are drawn at most to find one that the camera sees whole."""
 
 MARGIN_PX = 20
-"""Between the target and the image's border."""
+"""Smallest distance of the target from the image's border."""
 
 
 def synthetic_camera_session(
@@ -52,10 +52,10 @@ def synthetic_camera_session(
         sensor: the LiDAR, at the origin, x ahead.
         camera: the camera.
         T_camera_lidar: (4, 4) the truth that a calibration is to find.
-        views: how many.
-        distances: least and most of the target from the LiDAR, along x, metres.
-        tilt: most by which the target is turned away from facing the LiDAR, about either axis, rad.
-        noise: how the LiDAR errs; None: what the sensor's model says.
+        views: number of views.
+        distances: smallest and largest distance of the target from the LiDAR, along x, metres.
+        tilt: largest rotation of the target away from facing the LiDAR, about either axis, rad.
+        noise: of the LiDAR; None: that of the sensor's model.
         rng: generator or seed.
 
     Returns:
@@ -96,7 +96,7 @@ def _placement(
     target: Target, camera: CameraIntrinsics, T_camera_lidar: Floats, distances: tuple[float, float], tilt: float,
     rng: np.random.Generator,
 ) -> Floats:  # fmt: skip
-    """T_lidar_target (4, 4) of a target that the camera sees whole."""
+    """Return T_lidar_target (4, 4) of a target that the camera sees whole."""
     for _ in range(MOST_TRIES):
         x = rng.uniform(*distances)
         centre = np.array([x, x * rng.uniform(-0.4, 0.4), rng.uniform(-0.15, 0.15)])

@@ -1,7 +1,7 @@
-"""Which target does the job: the smallest one with which a sensor at a range finds poses as well as was asked.
+"""The choice of a target: the smallest one whose pose a sensor finds as exactly as asked, at a range.
 
-Sizes are tried along a ladder. The bound says where on it to begin, and how to hang the target; then scans are
-simulated and estimated, since a bound knows nothing of scans that end ambiguous or fail.
+Sizes are tried along a ladder. The Cramer-Rao bound tells where to begin, and how to hang the target. Then scans are
+simulated and estimated, since a bound does not tell how many scans are ambiguous or fail.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ SMALLEST, LARGEST = 0.02, 8.0
 """Areas of the ladder, square metres."""
 
 SHARE = 0.95
-"""Share of the scans that must be ok, with both errors within what was asked."""
+"""Share of the scans that must be ok, with both errors as small as asked."""
 
 SCANS = 100
-"""Simulated for each size that is tried."""
+"""Scans that are simulated for each size."""
 
 HUNG_ROLL = np.radians(3.0)
 HUNG_YAW = np.radians(20.0)
 HUNG_HEIGHT = 0.02
 HUNG_ELEVATION = np.radians(0.1)
-"""How far from the plan a target hangs (half widths of uniform distributions): turned, rad; away from facing the
-sensor, rad; its height, metres, and what a sensor's own elevations differ from its file by, rad."""
+"""Half widths of uniform distributions of how a target hangs: roll, rad; turn away from facing the sensor, rad; height,
+metres; and the difference of the sensor's elevations from its file, rad."""
 
 _NORMALS = np.random.default_rng(0).standard_normal((6, 400))
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What is asked of a target.
+    """The accuracy that is asked of a target.
 
     Attributes:
-        sensor: the sensor; its azimuth step has to be known.
+        sensor: the sensor, whose azimuth step must be known.
         range: of the target, metres.
         rotation: largest rotation error in 95 of 100 scans, rad.
         translation: largest translation error in 95 of 100 scans, metres.
@@ -75,11 +75,11 @@ class Wish:
 
 @dataclass(frozen=True)
 class Hanging:
-    """How a target hangs.
+    """The planned place of a target.
 
     Attributes:
         height: of its origin (the vertex mean) above the sensor, metres.
-        roll: turned counter-clockwise about +x, seen from behind, from how its file has it, rad.
+        roll: turn from the pose in its file, counter-clockwise about +x as seen from behind, rad.
     """
 
     height: float
@@ -88,17 +88,17 @@ class Hanging:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trial(Value):
-    """One size, hung as well as it can be.
+    """One size, hung in the best way.
 
     Attributes:
-        target: the target, as it hangs: already turned.
+        target: the target, turned as it hangs.
         height: of its origin above the sensor, metres.
         bound_rotation: 95th percentile of the error at the Cramer-Rao bound, rad.
         bound_translation: the same, metres.
         statuses: of the simulated scans; empty if none were simulated.
-        e_r: (N,) errors of the scans that were estimated, ok or not, rad; NaN where it failed.
-        e_t: (N,) the same, metres.
-        passes: whether enough scans are ok and within what was asked.
+        e_r: (N,) rotation errors of the simulated scans, ok or not, rad; NaN if the estimate failed.
+        e_t: (N,) translation errors likewise, metres.
+        passes: whether enough scans are ok, with errors as small as asked.
     """
 
     target: Target
@@ -111,7 +111,7 @@ class Trial(Value):
     passes: bool = False
 
     def quantile(self, errors: Floats) -> float | None:
-        """Return the 95th percentile of (N,) errors, rad or metres, of the scans that are ok; None where none is."""
+        """Return the 95th percentile of errors (N,), rad or metres, of the scans that are ok; None without any."""
         ok = errors[np.array(self.statuses) == "ok"] if len(errors) else errors
         return float(np.quantile(ok, SHARE)) if len(ok) else None
 
@@ -137,13 +137,13 @@ class Trial(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Choice(Value):
-    """The smallest target that does what was asked, and what else would.
+    """The smallest target that is as accurate as asked, and alternatives.
 
     Attributes:
-        wish: what was asked.
+        wish: the accuracy asked for.
         chosen: the target.
-        smaller: the sizes below it, largest first, with how near each has to hang to do it, metres; the first of
-            them was simulated at the range that was asked, and does not.
+        smaller: the sizes below it, largest first, each with the largest range at which it is accurate enough, metres.
+            The first of them was simulated at the range asked for, and is not accurate enough there.
     """
 
     wish: Wish
@@ -167,16 +167,16 @@ class Choice(Value):
 def choose_target(
     wish: Wish, shapes: Sequence[Target], *, seed: int = 0, progress: Callable[[int, int], None] | None = None
 ) -> Choice:
-    """Choose the smallest target that does what was asked.
+    """Choose the smallest target that is as accurate as asked.
 
     Args:
-        wish: what is asked.
-        shapes: shapes to choose from, of any size: the one that the bound allows to be smallest is taken.
-        seed: of the simulated scans: the same for every size.
-        progress: called with the number of sizes that were simulated and of those expected.
+        wish: the accuracy asked for.
+        shapes: shapes to choose from, of any size; the one that can be smallest by the bound is taken.
+        seed: of the simulated scans, the same for every size.
+        progress: called with the numbers of simulated and of expected sizes.
 
     Raises:
-        EstimationError: none of up to `LARGEST` square metres does it.
+        EstimationError: no target of up to `LARGEST` square metres is accurate enough.
     """
     ladder = _Ladder(wish, tuple(shapes), seed, progress)
     step = ladder.first_by_bound()
@@ -192,7 +192,7 @@ def choose_target(
     smaller = [
         ladder.simulated(k) if k == step - 1 else ladder.bounded(k) for k in range(step - 1, step - 3, -1) if k >= 0
     ]
-    # The bound says how the errors change with the range; the simulation, how far above the bound they are.
+    # The bound tells how errors change with the range; the simulation, by what factor they exceed the bound.
     excess = ladder.excess(chosen)
     return Choice(wish, chosen, tuple((trial, ladder.nearer(trial.target, excess)) for trial in smaller))
 
@@ -233,7 +233,7 @@ class _Ladder:
         return self._simulated[step]
 
     def first_by_bound(self) -> int:
-        """Smallest size that would do if its errors were at the bound."""
+        """Return the smallest size that would be accurate enough if its errors were at the bound."""
         low, high = 0, len(self.areas)  # errors at the bound fall with the size
         while low < high:
             middle = (low + high) // 2
@@ -247,14 +247,14 @@ class _Ladder:
         return low
 
     def excess(self, trial: Trial) -> float:
-        """How far above the bound the simulated errors are, at least 1."""
+        """Return the ratio of the simulated errors to the bound, at least 1."""
         e_r, e_t = trial.quantile(trial.e_r), trial.quantile(trial.e_t)
         assert e_r is not None
         assert e_t is not None
         return max(1.0, _need(self.wish, e_r, e_t) / _need(self.wish, trial.bound_rotation, trial.bound_translation))
 
     def nearer(self, target: Target, excess: float) -> float:
-        """Largest range at which a target would do, by the bound and the excess over it, metres."""
+        """Return the largest range, metres, at which a target is accurate enough, by the bound and its excess."""
         low, high = 0.1 * self.wish.range, self.wish.range
         for _ in range(6):
             middle = 0.5 * (low + high)
@@ -275,12 +275,12 @@ class _Ladder:
 
 
 def _need(wish: Wish, e_r: float, e_t: float) -> float:
-    """How many times too large errors are: 1 or less does it."""
+    """Return the ratio of errors to those asked for; at most 1 is accurate enough."""
     return max(e_r / wish.rotation, e_t / wish.translation)
 
 
 def _placements(hanging: Hanging, wish: Wish, distance: float, count: int, rng: np.random.Generator) -> Floats:
-    """(count, 4, 4) T_lidar_target of a target that somebody hung as planned, as exactly as people do."""
+    """Return T_lidar_target (count, 4, 4) of a target that hangs as planned, as exactly as people hang targets."""
     rolls = hanging.roll + HUNG_ROLL * rng.uniform(-1, 1, count)
     yaws = HUNG_YAW * rng.uniform(-1, 1, count)
     spread = HUNG_HEIGHT + HUNG_ELEVATION * distance
@@ -291,7 +291,7 @@ def _placements(hanging: Hanging, wish: Wish, distance: float, count: int, rng: 
 
 
 def _bounded_trial(target: Target, wish: Wish, distance: float) -> Trial:
-    """Hang a target so that its errors at the bound are least, of some heights and rolls."""
+    """Hang a target at that one of several heights and rolls at which its errors at the bound are smallest."""
     gap = horizon_gap(wish.sensor)
     heights = distance * np.tan(np.linspace(gap[0], gap[1], 6)) if wish.sensor.n_rings > 1 else [0.0]
     plans = [Hanging(float(height), roll) for height in heights for roll in np.arange(0.0, 2 * np.pi, np.pi / 12)]
@@ -309,7 +309,7 @@ def _bounded_trial(target: Target, wish: Wish, distance: float) -> Trial:
 
 
 def _simulated_trial(trial: Trial, wish: Wish, seed: int) -> Trial:
-    """Simulate and estimate scans of a target as it hangs, until enough of them have missed."""
+    """Simulate and estimate scans of a target as it hangs, until it cannot pass any more."""
     noise = NoiseModel.of(wish.sensor)
     poses = _placements(Hanging(trial.height, 0.0), wish, wish.range, SCANS, np.random.default_rng([seed, 1]))
     statuses, e_r, e_t, missed = [], [], [], 0

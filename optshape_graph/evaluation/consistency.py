@@ -1,4 +1,4 @@
-"""Are the covariances right: normalised errors against chi-square, and coverage per axis."""
+"""Consistency of covariances: normalised errors against chi-square, and coverage by axis."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from optshape_graph.evaluation.simulation import AXES
 
 
 def consistency(rows: Sequence[Row], level: float = 0.95) -> Row:
-    """Compare the errors of estimates with the covariances that they came with.
+    """Compare the errors of estimates with their covariances.
 
     Args:
-        rows: of `run_simulation`, of one cell and method; failed and doubtful ones do not count.
-        level: of the regions whose coverage is counted.
+        rows: from `run_simulation`, of one cell and method; failed and doubtful estimates do not count.
+        level: probability of the regions whose coverage is counted.
 
     Returns:
         `scans`; `nees_per_dof`, the mean normalised error squared over its 6 degrees of freedom, which is 1 if the

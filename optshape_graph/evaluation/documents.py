@@ -1,4 +1,4 @@
-"""The results of evaluations in plain form, as their JSON files have them."""
+"""Results of evaluations in plain form, as in their JSON files."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from optshape_graph.evaluation.simulation import SimulationSweep
 from optshape_graph.evaluation.tables import ERRORS, summarise
 
 CELL = ("method", "noise", "orientation", "range_m")
-"""Columns that the scans of a cell have in common."""
+"""Columns that all scans of a cell share."""
 
 COUNTS = ("scans", "ok", "doubtful", "ambiguous", "failed")
 
 
 def simulation_document(sweep: SimulationSweep, rows: Sequence[Row]) -> dict[str, Any]:
-    """Return what a sweep found in each cell: how its scans ended, their errors, and whether covariances are right.
+    """Return the results of a sweep for each cell: statuses of scans, errors, and consistency of covariances.
 
     Args:
-        sweep: what was simulated.
-        rows: of `run_simulation`.
+        sweep: the sweep.
+        rows: from `run_simulation`.
     """
     kept = (*CELL, *COUNTS, *(f"{error}_{part}" for error in ERRORS for part in ("median", "p95")), "worst_ok_e_r_deg")
     cells = []
@@ -43,11 +43,11 @@ def simulation_document(sweep: SimulationSweep, rows: Sequence[Row]) -> dict[str
 
 
 def mocap_document(rows: Sequence[Row], left_out: Sequence[LeftOut]) -> dict[str, Any]:
-    """Return the errors of every scan against motion capture, ours and others', their means, and what took no part.
+    """Return the errors of every scan against motion capture, ours and others', their means, and scans left out.
 
     Args:
-        rows: of `evaluate_mocap`.
-        left_out: the same.
+        rows: from `evaluate_mocap`.
+        left_out: from `evaluate_mocap`.
     """
     means = {f"{prefix}mean": mean_errors(rows, prefix) for prefix in PROTOCOLS}
     return {

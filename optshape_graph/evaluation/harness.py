@@ -1,8 +1,8 @@
 """Many independent tasks, on processes or a cluster, that survive being killed.
 
-Every task is a plain value, its result plain rows. The results are the same whatever runs them: a task draws from its
-own seed and computes on one thread, and the table is put together in the order of the tasks. A finished task is a file,
-written whole or not at all, so a sweep that was killed goes on where it was.
+Every task is a plain value, and its result plain rows. Results do not depend on the pool: a task draws from its own
+seed and computes on one thread, and the table is in the order of the tasks. A finished task is a file, written whole or
+not at all, so that a killed sweep goes on where it was.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from optshape_graph.runs.workers import Lost, OneThread, Pool
 
 Row = dict[str, Any]
 Progress = Callable[[int, int], None]
-"""Called with the number of finished tasks and that of all tasks."""
+"""Called with the numbers of finished and of all tasks."""
 
 T = TypeVar("T")
 
@@ -38,13 +38,12 @@ def run_tasks(
     """Run every task that is not finished yet, and return the rows of all, in the order of the tasks.
 
     Args:
-        function: what to do with a task; importable by name, so that another process finds it. Its rows hold text,
-            finite numbers, truth values and None.
-        tasks: what to do it with; picklable.
-        folder: where finished tasks are kept, made if it is not there. Another call with the same description takes
-            them from there.
-        describe: plain data that say what is run, version included: tasks of another description are not mixed in.
-        pool: what runs them; None: this process.
+        function: does a task; importable by name, so that another process finds it. Its rows have text, finite
+            numbers, truth values and None.
+        tasks: arguments of the function; picklable.
+        folder: for finished tasks, made if it is missing. Another call with the same description takes them from there.
+        describe: plain data that describe the run, with the version; tasks of another description are not mixed in.
+        pool: the workers; None: this process.
         progress: called when a task is finished, and once before the first.
 
     Raises:
@@ -78,7 +77,7 @@ def run_tasks(
 
 
 def _claim(folder: Path, describe: Mapping[str, Any]) -> None:
-    """Make the folder this sweep's own, or find that it is."""
+    """Mark the folder as this sweep's, or check that it is."""
     folder.mkdir(parents=True, exist_ok=True)
     manifest = folder / "sweep.json"
     document = {"schema": "optshape/sweep/1", "digest": _digest(describe), **describe}

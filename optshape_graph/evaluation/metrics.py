@@ -1,4 +1,4 @@
-"""How far a pose is from the truth, by the paper's formulas and against its covariance."""
+"""Errors of poses, by the paper's formulas and against their covariances."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class PoseError:
         rmse: root mean square distance of the vertices from the true ones, metres.
         e_t: distance between the target origins, metres.
         e_r: angle between the rotations, rad.
-        distance: of the true vertex mean from the sensor, metres: what percentages are of.
+        distance: of the true vertex mean from the sensor, metres; percentages are relative to it.
     """
 
     rmse: float
@@ -41,7 +41,7 @@ class PoseError:
 def pose_error(target: Target, T_estimated: Floats, T_true: Floats) -> PoseError:
     """Compare two poses T_lidar_target, (4, 4) each: RMSE, e_t = |t - t~|, e_r = |Log(R R~^T)|.
 
-    Of the poses that the target's symmetry makes equivalent to the estimate, the nearest one counts.
+    Of the poses that are equivalent to the estimate by the target's symmetry, the nearest counts.
     """
     nearest = target.nearest_equivalent(T_estimated, T_true)
     difference = apply(nearest, target.vertices) - apply(T_true, target.vertices)
@@ -54,7 +54,7 @@ def pose_error(target: Target, T_estimated: Floats, T_true: Floats) -> PoseError
 
 
 def quantisation_error(azimuth_step: float, distance: float) -> float:
-    """e_q: distance between adjacent points of a ring on a target at a distance, metres; the step in rad."""
+    """Return e_q, the distance, metres, of adjacent points of a ring at a distance, metres; the step is in rad."""
     return azimuth_step * distance
 
 
@@ -64,8 +64,8 @@ class NormalisedError(Value):
 
     Attributes:
         xi: (6,) Log(T_estimated^-1 T_true): rotation first, rad and metres, target frame.
-        sigma: (6,) standard deviations that the estimate claims.
-        nees: xi^T covariance^-1 xi: chi-square with 6 degrees of freedom, if the covariance is right.
+        sigma: (6,) standard deviations that the estimate states.
+        nees: xi^T covariance^-1 xi; chi-square with 6 degrees of freedom, if the covariance is right.
         vertex_nees: (n,) the same of each vertex, with 3 degrees of freedom.
     """
 
@@ -80,7 +80,7 @@ class NormalisedError(Value):
 
 
 def normalised_error(target: Target, T_estimated: Floats, covariance: Floats, T_true: Floats) -> NormalisedError:
-    """Compare a pose error with the covariance claimed for it, modulo the target's symmetry.
+    """Compare a pose error with its stated covariance, modulo the target's symmetry.
 
     Args:
         target: the target.
@@ -106,5 +106,5 @@ def normalised_error(target: Target, T_estimated: Floats, covariance: Floats, T_
 
 
 def vertex_jacobian(target: Target) -> Floats:
-    """(n, 3, 6) derivative of the vertices, metres, target frame, by a right perturbation (omega, u): omega x v + u."""
+    """Return the derivative (n, 3, 6) of the vertices v, metres, target frame: omega x v + u by (omega, u)."""
     return np.concatenate([-skew(target.vertices), np.broadcast_to(np.eye(3), (len(target), 3, 3))], axis=2)

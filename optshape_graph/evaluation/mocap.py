@@ -1,4 +1,4 @@
-"""Table II: estimates on recordings, against motion capture, over several sessions."""
+"""Table II: estimates on recordings against motion capture, over several sessions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PROTOCOLS = ("", "in_sample_", "reference_", "published_")
 
 
 def find_sessions(folder: str | Path, *, allow_outside: bool = False) -> list[Session]:
-    """Load the sessions with motion capture of a folder: its own session.yaml, and those of the folders in it.
+    """Load the sessions with motion capture in a folder: its own session.yaml, and those of folders in it.
 
     Args:
         folder: the folder.
@@ -71,17 +71,17 @@ def evaluate_mocap(
     """Compare the estimates of every scan with its markers.
 
     Args:
-        sessions: each with motion capture; frames are tied within a session only.
-        reference: (4, 4) T_lidar_target of another method, by "session folder/scan", to be compared in the same way,
-            for the session's own template.
+        sessions: each with motion capture; the LiDAR's and the motion capture's frames are tied within a session only.
+        reference: T_lidar_target (4, 4) of another method for the session's own template, by "session folder/scan";
+            they are compared in the same way.
         progress: called with the number of scans done, and their total.
 
     Returns:
         A row for every scan: `session`, `scan`, `n_points`, `distance_m` of the estimated target origin, `e_q_m`; the
         errors `rmse_m`, `e_t_m`, `e_r_deg` in a frame tied by the session's other scans, two of them in percent of the
         distance too; with `in_sample_` before, the errors in a frame tied by all scans; with `reference_`, those of
-        the other method's estimate; with `published_`, those of the paper's Table II for that recording. What there
-        is none of is None. And the scans left out, with reasons: a session needs two scans that can be used.
+        the other method's estimate; with `published_`, those of the paper's Table II for that recording. Missing values
+        are None. And the scans left out, with reasons: a session needs two usable scans.
 
     Raises:
         InputError: a session that cannot be evaluated, or a scan without an estimate in `reference`.
@@ -109,7 +109,7 @@ def evaluate_mocap(
 
 
 def mean_errors(rows: Sequence[Row], prefix: str = "") -> Row | None:
-    """Return the means of the errors with a prefix, None where a row lacks them."""
+    """Return the means of the errors with a prefix; None if a row lacks them."""
     if not rows or any(row.get(prefix + name) is None for row in rows for name in ERRORS):
         return None
     return {name: float(np.mean([row[prefix + name] for row in rows])) for name in ERRORS}
@@ -138,7 +138,7 @@ def _rows(session: str, scans: Sequence[MocapScan], reference: Mapping[str, Floa
 
 
 def _with_pose(scan: MocapScan, reference: Mapping[str, Floats], name: str) -> MocapScan:
-    """The scan, as if another method's estimate were ours."""
+    """Return the scan with another method's estimate in place of ours."""
     if name not in reference:
         raise InputError(f"the reference has no estimate of '{name}'; it has: {', '.join(reference)}")
     return replace(scan, estimate=replace(scan.estimate, T_lidar_target=reference[name]))
@@ -149,6 +149,6 @@ def _columns(errors: ScanError | PublishedRow | None, prefix: str) -> Row:
 
 
 def _published(n_points: int, distance: float) -> PublishedRow | None:
-    """The paper's line for a recording, known by its number of returns and its distance, within 10 cm."""
+    """Return the paper's row for a recording, by its number of returns and its distance within 10 cm."""
     same = [row for row in TABLE_2 if row.n_points == n_points and abs(row.distance_m - distance) < 0.1]
     return same[0] if same else None

@@ -17,7 +17,7 @@ NOT_REPRODUCED = {
     "2": "a sketch of the optimisation: `design optimise --plot` draws the search itself",
     "11 and 12": "photographs of the experiment",
 }
-"""Figures of the paper, by number, and why there is none of ours."""
+"""Figures of the paper that are not reproduced, by number, with the reason."""
 
 
 def table_1(
@@ -58,7 +58,7 @@ def figure_10(
 def columns_of(
     table: Sequence[PublishedRow], ours: Sequence[Mapping[str, Any]], methods: Sequence[str]
 ) -> list[list[str]]:
-    """Return the cells of a table in the paper's columns: as printed, then ours of each method, with percentages.
+    """Return the cells of a table in the paper's columns: the printed numbers, then each method's, with percentages.
 
     Args:
         table: `TABLE_1` or `TABLE_2`.
@@ -83,10 +83,10 @@ def columns_of(
 
 
 def table_2(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return for each row of Table II ours of the nearest distance and the same attitude, or an empty row.
+    """Return, for each row of Table II, our row of the same attitude at the nearest distance, or an empty row.
 
     Args:
-        rows: of `evaluate_mocap`.
+        rows: from `evaluate_mocap`.
     """
     found: list[Mapping[str, Any]] = []
     for printed in TABLE_2:

@@ -1,8 +1,7 @@
 """Tables I and II of Huang, Clark and Grizzle, "Optimal Target Shape for LiDAR Pose Estimation", as printed.
 
-What is wrong with them: Table I is called noise-free and is of noise level 1; the e_q of Table II is for an azimuth
-step of 0.4 deg, where the recordings have 0.2; and the ground truth of Table II was stretched by 3 % to fit the
-template.
+Known errors: Table I is called noise-free, but is of noise level 1; the e_q of Table II is for an azimuth step of 0.4
+deg, but the recordings have 0.2 deg; and the ground truth of Table II was stretched by 3 % to fit the template.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Targets rendered as a camera would see them: images with known truth."""
+"""Images of targets with known truth, rendered as a camera sees them."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def render_target(
 
 
 def _rays(camera: CameraIntrinsics, u: Floats, v: Floats) -> Floats:
-    """Rays of a fine grid of pixels, interpolated between every fourth pixel: to 0.002 px."""
+    """Return the rays of a fine grid of pixels, interpolated between every fourth pixel, accurate to 0.002 px."""
     nodes_u, nodes_v = (np.arange(x[0] - 4, x[-1] + 8, 4.0) for x in (u, v))
     nodes = normalised(camera, np.stack(np.meshgrid(nodes_u, nodes_v), axis=-1).reshape(-1, 2))
     shape = (len(nodes_v), len(nodes_u), 2)

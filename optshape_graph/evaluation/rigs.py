@@ -1,4 +1,4 @@
-"""Rigs with known truth: LiDARs of different make and cameras, and what they see of targets all around."""
+"""Rigs with known truth: different LiDARs and cameras, and their views of targets all around."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from optshape_graph.simulation import AngleErrors, NoiseModel, Patch, Scene, sim
 from optshape_graph.target import Target
 
 AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-"""Rotation from axes x forward, y left, z up to those of a camera, z forward, x right, y down."""
+"""Rotation of axes x forward, y left, z up into those of a camera, z forward, x right, y down."""
 
 CORNER_PX = 0.2
 """Standard deviation of a corner's coordinate in an image, pixels."""
 
 ANGLE_ERROR = np.radians(0.05)
-"""Standard deviation of how far each ring's elevation and azimuth are off its table, rad."""
+"""Standard deviation of the errors of each ring's elevation and azimuth, rad."""
 
 MAKES = {"roof": "os1-64", "front": "vlp16", "rear": "vlp32c"}
 PLACES: dict[str, tuple[Sequence[float], Sequence[float]]] = {
@@ -40,19 +40,19 @@ PLACES: dict[str, tuple[Sequence[float], Sequence[float]]] = {
     "left": ([0.3, 0.3, 0.25], [40.0, 5.0, 0.0]),
     "right": ([0.3, -0.3, 0.25], [-45.0, 5.0, 0.0]),
 }
-"""Where sensors are on the platform: metres, and yaw, pitch and roll, degrees; a unit is off by some."""
+"""Nominal poses of sensors on the platform: metres, and yaw, pitch and roll, degrees; a drawn rig deviates."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulatedRig(Value):
-    """Sensors on a platform, with the errors that they keep.
+    """Sensors on a platform, with their constant errors.
 
     Attributes:
-        lidars: sensor files by name, as they are given to a calibration.
+        lidars: sensor models by name, as a calibration gets them.
         cameras: intrinsics by name.
         T_base_sensor: (4, 4) of each.
         range_bias: (R,) of each LiDAR's rings, metres.
-        angle_errors: of each LiDAR's rings: where each looks elsewhere than its table says.
+        angle_errors: of each LiDAR's rings.
     """
 
     lidars: Mapping[str, SensorModel]
@@ -68,12 +68,12 @@ class SimulatedRig(Value):
         lidars: Mapping[str, str] | None = None,
         cameras: Sequence[str] = ("left", "right"),
     ) -> SimulatedRig:
-        """Draw a rig: sensors about where they are meant to be, each with errors as its file says.
+        """Draw a rig: sensors near their nominal poses, with errors as large as their files state.
 
         Args:
             rng: source of randomness.
-            lidars: built-in sensors by name; None: three of different make.
-            cameras: their names.
+            lidars: built-in sensors by name; None: three different ones.
+            cameras: names of the cameras.
         """
         models = {
             name: replace(load_sensor(make), elevation_error=ANGLE_ERROR, azimuth_error=ANGLE_ERROR)
@@ -110,7 +110,7 @@ class SimulatedRig(Value):
     def moving_scan(
         self, lidar: str, target: Target, path: Carried, start: float, rng: np.random.Generator, name: str
     ) -> Scan:
-        """Return a LiDAR's returns on a target that moves, of a revolution that begins at a time, seconds."""
+        """Return a LiDAR's returns on a moving target, of a revolution that begins at a time, seconds."""
         motion = _Relative(path, self.T_base_sensor[lidar], start)
         return simulate(
             Scene((Patch(target, np.eye(4)),)), self.lidars[lidar], motion, noise=NoiseModel.of(self.lidars[lidar]),
@@ -120,7 +120,7 @@ class SimulatedRig(Value):
     def corners(
         self, camera: str, target: Target, T_base_target: Floats, rng: np.random.Generator
     ) -> tuple[Floats, Floats] | None:
-        """Return the points (m, 3) of a target's pattern and their pixels (m, 2); None where it isn't all in view."""
+        """Return the points (m, 3) of a target's pattern and their pixels (m, 2); None unless all are in view."""
         lens, T = self.cameras[camera], inverse(self.T_base_sensor[camera]) @ T_base_target
         points = pattern(target)
         seen = apply(T, points)
@@ -134,13 +134,13 @@ class SimulatedRig(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Carried(Value):
-    """A target carried about, with turns: a sum of slow waves about a place.
+    """The motion of a target that is carried about: a sum of slow waves about a mean pose.
 
     Attributes:
-        T_base_target: (4, 4) in the middle.
-        sizes: (K, 6) of the waves, by each component of the motion, rotation first: rad and metres.
-        rates: (K, 6) rad/s.
-        phases: (K, 6) rad.
+        T_base_target: (4, 4) mean pose.
+        sizes: (K, 6) amplitudes of the waves of each component of the motion, rotation first: rad and metres.
+        rates: (K, 6) angular frequencies of the waves, rad/s.
+        phases: (K, 6) of the waves, rad.
     """
 
     T_base_target: Floats
@@ -168,7 +168,7 @@ class Carried(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Relative(Value):
-    """How a sensor moves in the frame of a target that is carried."""
+    """The motion of a sensor in the frame of a carried target."""
 
     carried: Carried
     T_base_sensor: Floats
@@ -180,7 +180,7 @@ class _Relative(Value):
 
 
 def pattern(target: Target) -> Floats:
-    """Return the points (m, 3) of a printed grid, metres, target frame: all that lie on the target."""
+    """Return the points (m, 3) of a printed grid, metres, target frame, as far as they lie on the target."""
     steps = np.arange(-6, 7) * 0.1
     grid = np.array([(0.0, y, z) for y in steps for z in steps])
     return np.asarray(grid[target.contains(grid[:, 1:], margin=-0.05)])

@@ -1,4 +1,4 @@
-"""Does the installation work: a scan of known truth is simulated, estimated, and solved again as a GTSAM graph."""
+"""A check of the installation: a scan of known truth is simulated, estimated, and solved again as a GTSAM graph."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ MOST_NEES = 27.9
 """Normalised error squared that one estimate in 10,000 exceeds: chi-square, 6 degrees of freedom."""
 
 MOST_DIFFERENCE = 1e-6
-"""Of the pose that GTSAM finds from the estimated one: rad and metres."""
+"""Largest difference of GTSAM's pose from the estimate, rad and metres."""
 
 
 @dataclass(frozen=True)
 class SelfCheck:
-    """What became of a known pose.
+    """The outcome of the check.
 
     Attributes:
         error: of the estimate.
-        nees: its square, normalised by the covariance.
+        nees: normalised error squared.
         status: of the estimate.
         certified: whether it is certified to be the global optimum.
-        graph_difference: of the pose by GTSAM from the estimated one: rad and metres.
-        seconds: that the estimate took.
+        graph_difference: difference of GTSAM's pose from the estimate, rad and metres.
+        seconds: time of the estimate.
     """
 
     error: PoseError
@@ -45,7 +45,7 @@ class SelfCheck:
 
     @property
     def ok(self) -> bool:
-        """Whether all is as it should be."""
+        """Whether the installation works."""
         good = self.status == "ok" and self.certified
         return good and self.nees < MOST_NEES and self.graph_difference < MOST_DIFFERENCE
 

@@ -1,4 +1,4 @@
-"""Does a better score mean a better pose? Shapes are scored, bounded, and estimated in simulation."""
+"""A study whether a better score means a better pose: shapes are scored, bounded, and estimated in simulation."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ class ShapeTrials(Value):
         target: the shape.
         score: its worst score at unit area, every degree.
         bound_r: (N,) Cramer-Rao bound of the rotation at each placement, rad; infinite if not determined.
-        e_r: (N,) rotation errors, modulo the shape's symmetries, rad; pi where no estimate was made.
+        e_r: (N,) rotation errors, modulo the shape's symmetries, rad; pi without an estimate.
         e_in_plane: (N,) their parts about the target's normal, rad.
-        usable: (N,) whether the estimator called the estimate "ok".
+        usable: (N,) whether the status of the estimate is "ok".
     """
 
     target: Target
@@ -59,7 +59,7 @@ class RankCorrelation:
 
     Attributes:
         rho: the correlation.
-        p_value: probability of one as large in magnitude were there none.
+        p_value: probability of a correlation as large in magnitude by chance.
     """
 
     rho: float
@@ -68,7 +68,7 @@ class RankCorrelation:
 
 @dataclass(frozen=True)
 class ShapeStudy:
-    """Shapes and what became of their poses.
+    """Shapes and the errors of their poses.
 
     Attributes:
         shapes: the trials of each shape.
@@ -88,9 +88,9 @@ class ShapeStudy:
         return np.array([shape.score for shape in self.shapes])
 
     def correlation(self, name: str, error: str = "e_r") -> RankCorrelation:
-        """Rank correlation over shapes of "score", or of the median "bound_r", with the median simulated error.
+        """Return the rank correlation over shapes of "score", or of the median "bound_r", with the median error.
 
-        A useful score has a negative one: more score, less error. A useful bound, a positive one.
+        It is negative for a useful score, since a higher score means a smaller error; positive for a useful bound.
         """
         predictor = self.scores if name == "score" else self.medians(name)
         result = spearmanr(predictor, self.medians(error))
@@ -133,7 +133,7 @@ def random_shapes(count: int, seed: int, area: float = 1.0) -> list[Target]:
 
 
 def random_placements(distances: Sequence[float], per_distance: int, seed: int) -> Floats:
-    """(N, 4, 4) T_lidar_target: any roll, evenly; up to TILT off in a random direction; a little high or low."""
+    """Return T_lidar_target (N, 4, 4): even rolls, random tilts of up to TILT, heights near the sensor's."""
     rng = np.random.default_rng(seed)
     placements = []
     for distance in distances:
@@ -159,11 +159,11 @@ def study_shapes(
 
     Args:
         targets: the shapes.
-        sensor: the sensor; its azimuth step has to be known.
+        sensor: the sensor, whose azimuth step must be known.
         placements: (N, 4, 4) T_lidar_target.
         seed: of the noise; the result depends on it and not on the number of workers.
-        folder: where finished shapes are kept: a study that was killed goes on there.
-        pool: what runs it; None: this process.
+        folder: for finished shapes, where a killed study goes on.
+        pool: the workers; None: this process.
         progress: called when a shape is finished, and once before the first.
 
     Raises:
@@ -187,7 +187,7 @@ def study_shapes(
 
 
 def _trials(sensor: SensorModel, placements: Floats, seed: int, item: tuple[int, Target]) -> list[Row]:
-    """One row per placement; None stands for infinite bounds and for estimates that were not made."""
+    """Return one row for each placement; None stands for an infinite bound and for a missing estimate."""
     index, target = item
     noise, rows = NoiseModel.of(sensor), []
     scans = [

@@ -1,4 +1,4 @@
-"""The paper's simulation sweep, with as many draws as asked for, any target, sensor, noise and method."""
+"""The paper's simulation sweep, for any number of draws, target, sensor, noise and method."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from optshape_graph.simulation.reference import DISTANCES, ORIENTATIONS, referen
 from optshape_graph.target import Target
 
 SCANS_PER_TASK = 8
-"""Scans that are simulated and estimated between two files on disk."""
+"""Scans of a task, whose results are one file."""
 
 AXES = ("rx", "ry", "rz", "tx", "ty", "tz")
-"""Directions of the target's tangent space, as columns are named: rotation first, as GTSAM has it."""
+"""Names of the directions of the target's tangent space in columns, rotation first, as in GTSAM."""
 
 Removal = Literal["random", "lowest", "highest"]
 
 
 class Estimate(Protocol):
-    """What the sweep reads of an estimate; `PoseEstimate` is one."""
+    """The attributes of an estimate that the sweep uses; `PoseEstimate` has them."""
 
     @property
     def T_lidar_target(self) -> Floats:
@@ -55,7 +55,7 @@ Estimator = Callable[[Scan, Target, str], Estimate]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulationSweep(Value):
-    """What to simulate, and how to estimate it.
+    """The simulations of a sweep, and the methods of estimation.
 
     Attributes:
         target: the target.
@@ -63,16 +63,16 @@ class SimulationSweep(Value):
         methods: of `estimate_pose`; all see the same clouds.
         distances: metres.
         orientations: names to (roll, pitch, yaw), rad, R = Rx Ry Rz.
-        noise: levels 0 to 4, or "sensor": what the sensor's own model says.
-        range_only: leave out the angular part of the levels.
+        noise: levels 0 to 4, or "sensor" for that of the sensor's own model.
+        range_only: whether the angular part of the levels is left out.
         draws: scans per cell.
-        jitter: move the true pose within an azimuth step and a gap between rings, so that quantisation is sampled.
-        removed_share: share of the rings on the target to leave out.
-        removal: which: drawn, or from one side.
-        seed: from which every scan's own seed is spawned.
+        jitter: whether the true pose moves within an azimuth step and a gap between rings, to sample quantisation.
+        removed_share: share of the rings on the target that are left out.
+        removal: which rings: drawn, or from one side.
+        seed: from which the seeds of all scans are spawned.
 
     Raises:
-        InputError: no draw, a share out of [0, 1), an unknown noise level, or a distance that is not above 0.
+        InputError: no draw, a share outside [0, 1), an unknown noise level, or a distance that is not above 0.
     """
 
     target: Target
@@ -102,11 +102,11 @@ class SimulationSweep(Value):
 
     @property
     def model(self) -> SensorModel:
-        """The sensor, the paper's where none is given."""
+        """The sensor, or the paper's if none is given."""
         return reference_sensor() if self.sensor is None else self.sensor
 
     def describe(self) -> dict[str, Any]:
-        """Everything that decides the results, as plain data."""
+        """Return all settings that decide the results, as plain data."""
         sensor = self.model
         return {
             "version": __version__,
@@ -141,7 +141,7 @@ class SweepTask(Value):
     """Some draws of one cell.
 
     Attributes:
-        sweep: what it belongs to.
+        sweep: the sweep.
         noise: level.
         orientation: name and angles.
         distance: metres.
@@ -167,12 +167,12 @@ def run_simulation(
     progress: Progress | None = None,
     estimator: Estimator | None = None,
 ) -> Table:
-    """Run a sweep; one row per scan and method, in an order that depends on the sweep only.
+    """Run a sweep; return one row for each scan and method, in an order that depends on the sweep only.
 
     Args:
-        sweep: what to run.
-        folder: where finished tasks are kept; a sweep that was killed goes on there.
-        pool: what runs it; None: this process.
+        sweep: the sweep.
+        folder: for finished tasks, where a killed sweep goes on.
+        pool: the workers; None: this process.
         progress: called as tasks finish.
         estimator: in place of `estimate_poses`, of one scan; importable by name.
 
@@ -269,10 +269,10 @@ def _judge(estimate: Estimate | EstimationError, target: Target, T_true: Floats)
 def true_pose(
     sweep: SimulationSweep, angles: tuple[float, float, float], distance: float, rng: np.random.Generator
 ) -> Floats:
-    """(4, 4) T_lidar_target of one draw.
+    """Return T_lidar_target (4, 4) of one draw.
 
-    Jitter moves the target sideways by up to half an azimuth step and up and down by up to half the gap between the
-    rings that it spans, at its distance.
+    Jitter moves the target sideways by up to half an azimuth step, and up or down by up to half the gap between rings,
+    at its distance.
     """
     sensor, target = sweep.model, sweep.target
     T = reference_pose(target, distance, angles) if sweep.sensor is None else pose_from_rpy([distance, 0, 0], angles)
@@ -284,7 +284,7 @@ def true_pose(
 
 
 def _ring_gap(sensor: SensorModel, half_extent: float) -> float:
-    """Median gap, rad, between the rings that a target at elevation 0 spans: at least the two nearest to it."""
+    """Return the median gap, rad, between the rings that a target at elevation 0 spans, which are two at least."""
     nearest = np.argsort(np.abs(sensor.elevations), kind="stable")
     spanned = np.flatnonzero(np.abs(sensor.elevations) <= half_extent)
     rings = np.union1d(nearest[:2], spanned)
@@ -292,7 +292,7 @@ def _ring_gap(sensor: SensorModel, half_extent: float) -> float:
 
 
 def _noise_and_sensor(sweep: SimulationSweep, level: str) -> tuple[NoiseModel, SensorModel]:
-    """The noise of a level, and the sensor as its user knows it: of a level, with its noise and an ideal beam."""
+    """Return the noise of a level, and the sensor with that noise and an ideal beam, as its user knows it."""
     sensor = sweep.model
     if level == "sensor":
         return NoiseModel.of(sensor), sensor
@@ -309,7 +309,7 @@ def _removed(scan: Scan, sweep: SimulationSweep, rng: np.random.Generator) -> An
 
 
 def _vertex_rms(target: Target, covariance: Floats) -> float:
-    """Root mean square distance of the vertices under a pose covariance, metres."""
+    """Return the root mean square distance of the vertices under a pose covariance, metres."""
     J = vertex_jacobian(target)
     return float(np.sqrt(np.trace(J @ covariance @ J.swapaxes(1, 2), axis1=1, axis2=2).mean()))
 

@@ -1,4 +1,4 @@
-"""Tables of results: rows to files and back, summaries per cell and per group, and beside the paper's."""
+"""Tables of results: files of rows, summaries by group, and our results beside the paper's."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ERRORS = ("rmse_m", "e_t_m", "e_r_deg")
 
 
 class Table(list[Row]):
-    """Rows of a sweep: a list of dictionaries that prints in a line, becomes a data frame, saves itself and loads."""
+    """Rows of a sweep: a list of dictionaries that prints in one line, and becomes a data frame or a file."""
 
     def __repr__(self) -> str:
         return shortened(f"Table({len(self)} rows: {', '.join(_columns(self))})")
@@ -47,7 +47,7 @@ class Table(list[Row]):
         return dataframe(self)
 
     def save(self, path: str | Path) -> None:
-        """Write the rows as CSV, or as Parquet where the name ends in .parquet.
+        """Write the rows as CSV, or as Parquet if the name ends in .parquet.
 
         Args:
             path: of the file.
@@ -60,7 +60,7 @@ class Table(list[Row]):
 
     @classmethod
     def load(cls, path: str | Path) -> Table:
-        """Read the rows of a Parquet file, equal to what was saved: CSV does not tell numbers from text.
+        """Read the rows of a Parquet file, equal to the saved ones; CSV does not distinguish numbers from text.
 
         Args:
             path: of the file.
@@ -77,7 +77,7 @@ class Table(list[Row]):
 
 
 def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
-    """Write rows as CSV: numbers as they are read back exactly, missing values empty.
+    """Write rows as CSV, with numbers that read back exactly, and empty missing values.
 
     Raises:
         InputError: the file cannot be written.
@@ -104,22 +104,21 @@ def write_parquet(path: str | Path, rows: Sequence[Row]) -> None:
 
 
 def summarise(rows: Iterable[Row], by: Sequence[str]) -> list[Row]:
-    """One row per group: how many scans, how they ended, and the errors of those with a pose.
+    """Return one row for each group: number of scans, their statuses, and the errors of those with a pose.
 
     Args:
-        rows: of `run_simulation`.
-        by: columns that make a group.
+        rows: from `run_simulation`.
+        by: columns whose values make a group.
 
     Returns:
-        For every error its mean, median, 95th percentile and maximum, over all estimates that there are, whatever
-        they say of themselves; and, where the rows have it, the median of its bound. `worst_ok_e_r_deg` is over those
-        that call themselves ok.
+        For every error its mean, median, 95th percentile and maximum over all estimates of any status; and, if the rows
+        have it, the median of its bound. `worst_ok_e_r_deg` is over the estimates that are ok.
     """
     return by_group(rows, by, _summary)
 
 
 def by_group(rows: Iterable[Row], by: Sequence[str], reduce: Callable[[list[Row]], Row]) -> list[Row]:
-    """One row per group, in order of appearance: the columns that make it, and what `reduce` makes of its rows."""
+    """Return one row for each group, in order of appearance: the columns `by`, and what `reduce` makes of its rows."""
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(tuple(row[name] for name in by), []).append(row)
@@ -149,10 +148,10 @@ def _summary(group: list[Row]) -> Row:
 
 
 def beside_published(cells: Iterable[Row], published: Sequence[PublishedRow] = TABLE_1) -> list[Row]:
-    """Put the paper's rows beside medians of ours at the same orientation and nearest distance, within 10 cm.
+    """Put the paper's rows beside our medians at the same orientation and the nearest distance within 10 cm.
 
     Args:
-        cells: of `summarise`, by method, orientation and range, of one noise level.
+        cells: from `summarise`, by method, orientation and range, of one noise level.
         published: the paper's table.
     """
     cells = list(cells)
@@ -170,7 +169,7 @@ def beside_published(cells: Iterable[Row], published: Sequence[PublishedRow] = T
 
 
 def check_parquet() -> None:
-    """Find out before the work is done that Parquet cannot be written.
+    """Check before the work that Parquet can be written.
 
     Raises:
         MissingExtraError: pyarrow is absent.

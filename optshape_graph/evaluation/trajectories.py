@@ -1,7 +1,7 @@
-"""How good a map and a trajectory are: absolute and relative trajectory error, landmark error, consistency.
+"""Errors of maps and trajectories: absolute and relative trajectory error, landmark error, consistency.
 
-Absolute: distances after one rigid alignment of all positions (Sturm et al., A benchmark for the evaluation of RGB-D
-SLAM systems, IROS 2012). Relative: errors of the motion over a distance (Geiger et al., CVPR 2012).
+Absolute errors are distances after one rigid alignment of all positions (Sturm et al., A benchmark for the evaluation
+of RGB-D SLAM systems, IROS 2012). Relative errors are those of the motion over a distance (Geiger et al., CVPR 2012).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from optshape_graph.target import Target
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """Of errors, metres or rad.
+    """Statistics of errors, metres or rad.
 
     Attributes:
         rmse: root of the mean square.
@@ -91,10 +91,10 @@ def associate(estimated: Trajectory, true: Trajectory, tolerance: float = 0.02) 
     Args:
         estimated: with stamps.
         true: with stamps.
-        tolerance: seconds between stamps at most.
+        tolerance: largest difference of stamps, seconds.
 
     Raises:
-        InputError: a trajectory without stamps, or none that agree.
+        InputError: a trajectory without stamps, or no stamps that agree.
     """
     if estimated.stamps is None or true.stamps is None:
         raise InputError("trajectories are matched by their stamps, and one of them has none")
@@ -110,7 +110,7 @@ def associate(estimated: Trajectory, true: Trajectory, tolerance: float = 0.02) 
 def align(estimated: Floats, true: Floats) -> Floats:
     """Return T_true_estimated (4, 4), the rigid transform that brings positions nearest (Umeyama, TPAMI 1991).
 
-    Where the positions are on a line, which leaves a turn about it free, orientations decide.
+    If the positions are on a line, which leaves the turn about it free, orientations decide.
 
     Args:
         estimated: (N, 4, 4) poses.
@@ -148,7 +148,7 @@ def relative_error(estimated: Floats, true: Floats, over: float) -> RelativeErro
         over: metres.
 
     Raises:
-        InputError: the path is shorter than that.
+        InputError: the path is shorter than `over`.
     """
     _check(estimated, true)
     if not over > 0:
@@ -212,8 +212,8 @@ class Consistency:
     """Normalised errors squared against chi-square.
 
     Attributes:
-        per_dof: their mean over the degrees of freedom: 1, if covariances are right.
-        low, high: between which it lies in 95 of 100 such experiments, if errors are independent.
+        per_dof: their mean over the degrees of freedom; 1, if covariances are right.
+        low, high: 95 % interval of `per_dof`, if covariances are right and errors independent.
         count: number of errors.
     """
 

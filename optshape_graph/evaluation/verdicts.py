@@ -1,6 +1,6 @@
-"""What a result means, in one sentence that a technician can act on, and what to do next.
+"""Verdicts: what a result means, in one sentence that a technician can act on, and what to do next.
 
-Verdicts are made of a result's plain form (`to_dict`, or its JSON file), so that a command and a report say the same.
+They are made from a result's plain form (`to_dict`, or its JSON file), so that a command and a report agree.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from optshape_graph.errors import InputError
 Level = Literal["Good", "Usable with care", "Not usable"]
 
 SPARSE = 5
-"""Fewer scans or views than this leave nothing to check the result with."""
+"""Fewer scans or views are too few to check the result."""
 
 FEW_RETURNS = 30
-"""Returns on a target below which more of them are the first thing to ask for."""
+"""With fewer returns on a target, the first advice is to get more."""
 
 TURNED = 45.0
-"""Degrees by which a pose is off that is another one."""
+"""A pose with a larger error, degrees, is a different one."""
 
 MOSTLY = 0.9
-"""Share of a cell's scans that should end ok."""
+"""Share of a cell's scans that should be ok."""
 
 TOO_SURE = 1.25
-"""Normalised error squared per degree of freedom from which covariances are said to be too small."""
+"""Covariances count as too small if the normalised error squared exceeds this, per degree of freedom."""
 
 OUTSTANDING = 3.0
-"""Times the median error from which a scan is named."""
+"""A scan is named if its error is so many times the median."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Verdict:
 
     Attributes:
         level: whether to use it.
-        sentence: why, with the numbers that say so.
+        sentence: the reason, with numbers.
         advice: what to do next, most useful first; may be empty.
     """
 
@@ -51,7 +51,7 @@ class Verdict:
 
     @property
     def line(self) -> str:
-        """Level, reason and what to do first, in one line."""
+        """Level, reason and first advice in one line."""
         return f"{self.level}: {self.sentence}" + (f"; {self.advice[0]}" if self.advice else "")
 
 
@@ -71,7 +71,7 @@ def verdict_of(document: Mapping[str, Any]) -> Verdict:
 
 
 def kind_of(document: Mapping[str, Any]) -> str:
-    """Return KIND of a document's `optshape/KIND/1`."""
+    """Return KIND from a document's schema, `optshape/KIND/1`."""
     return str(document.get("schema", "")).removeprefix("optshape/").partition("/")[0]
 
 
@@ -294,7 +294,7 @@ def _level(said: str, warnings: Any, count: int) -> Level:
 
 
 def _sizes(entries: list[Any]) -> str:
-    """Ranges and standard deviations of poses, in words; empty without poses."""
+    """Return ranges and standard deviations of poses in words; empty without poses."""
     if not entries:
         return ""
     T, C = (np.array([entry[key] for entry in entries]) for key in ("T_lidar_target", "covariance"))
@@ -325,4 +325,4 @@ _JUDGES: dict[str, Callable[[Mapping[str, Any]], Verdict]] = {
 }
 
 JUDGED = tuple(sorted(_JUDGES))
-"""Forms that there are verdicts on."""
+"""Forms for which there are verdicts."""

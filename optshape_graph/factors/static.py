@@ -28,7 +28,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, marginalised, root, triangular, triangular_by_parts
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
 from optshape_graph.sensor import SensorModel, angle_sds
-from optshape_graph.se3 import adjoint, inverse, vec_derivative
+from optshape_graph.se3 import adjoint, inverse, vec, vec_derivative
 
 
 def ring_bias_columns(
@@ -332,7 +332,8 @@ def spread(moved: Floats, which: Ints, k: int) -> Floats:
 def fuse_static(measurements: Sequence[BiasedMeasurement], sigma: ArrayLike) -> TemplateMeasurement:
     """Fuse scans of one static scene: one target, one LiDAR, neither of which moved.
 
-    However many scans there are, the result is no more certain than the shared errors allow.
+    However many scans there are, the result is no more certain than the shared errors allow. Elevations of rings that
+    the scans show to be further off than their unit says are taken to be (`seen_scale`).
 
     Args:
         measurements: one for each scan, linearised at one pose.
@@ -344,7 +345,36 @@ def fuse_static(measurements: Sequence[BiasedMeasurement], sigma: ArrayLike) -> 
     """
     if not measurements:
         raise InputError("no measurement to fuse")
-    return reduce(add, measurements).marginal(sigma)
+    total = reduce(add, measurements)
+    return total.rescaled(ELEVATION, seen_scale(total, ELEVATION, sigma)).marginal(sigma)
+
+
+SCALES = (1.0, 1.5, 2.0, 3.0)
+"""How many times as large as stated errors may turn out to be."""
+
+
+def seen_scale(total: BiasedMeasurement, kind: str, sigma: ArrayLike) -> float:
+    """Return how many times as large as stated the errors of a kind are: the likeliest of `SCALES`, the pose unknown.
+
+    The restricted likelihood of rows J x + B beta + r: its logarithm is that of 1 / det R, and half the square of what
+    is left, R being the triangular factor of the rows under the prior of beta (Patterson and Thompson, Biometrika 1971).
+
+    Args:
+        total: of all scans of a scene.
+        kind: such as `ELEVATION`.
+        sigma: standard deviation of the shared errors, one for all or (k,), in beta's units.
+    """
+    if not any(error.kind == kind for error in total.shared):
+        return 1.0
+    T, k = total.T_target_lidar, len(total.shared)
+    A, sigmas = total.stack[:, k:-1], np.broadcast_to(np.asarray(sigma, float), (k,))
+    moved, left = A @ vec_derivative(T), A @ vec(T) + total.stack[:, -1]
+    cost = []
+    for scale in SCALES:
+        B = total.rescaled(kind, scale).stack[:, :k] * sigmas
+        R = triangular(np.vstack([np.eye(k, k + 7), np.column_stack([B, moved, left])]))
+        cost.append(float(np.log(np.abs(np.diag(R)[:-1]) + 1e-12).sum() + 0.5 * R[-1, -1] ** 2))
+    return SCALES[int(np.argmin(cost))]
 
 
 def _words(errors: Collection[SharedError]) -> str:

@@ -16,7 +16,7 @@ from optshape_graph.mapping.candidates import SINGULAR, Candidates, Outcome, Ver
 from optshape_graph.mapping.incremental_graph import IncrementalGraph
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.track import MappingProblem, Match, Odometry, Sighting, Start, Track
-from optshape_graph.se3 import PoseLike, as_transform
+from optshape_graph.se3 import PoseLike, as_matrix
 
 __all__ = ["LandmarkSlam", "Outcome", "Verdict"]
 
@@ -98,9 +98,8 @@ class LandmarkSlam:
             return len(self._poses)
         newest = len(self._poses)
         if T_previous_current is not None and covariance is not None and newest:
-            T = as_transform(T_previous_current, "odometry")
-            self._graph.begin(newest, stamp, Odometry(newest - 1, newest, T, covariance))
-            self._poses[-1] = self._graph.T_world_lidar(newest - 1)
+            odometry = Odometry(newest - 1, newest, as_matrix(T_previous_current), covariance)
+            self._poses[-1] = self._graph.begin(newest, stamp, odometry)
             self._poses.append(self._graph.T_world_lidar(newest))
         elif newest == 0 and self._start is not None:
             self._graph.add_start(self._start, stamp)

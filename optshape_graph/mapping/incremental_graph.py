@@ -300,13 +300,20 @@ class IncrementalGraph:
         self._smoother.update([prior], values, stamps={X(0): stamp})
         self._places.start(start.covariance)
 
-    def begin(self, pose: int, stamp: float, odometry: Odometry) -> None:
-        """Begin a pose, its number following the one before, where odometry has it; stamp in seconds."""
+    def begin(self, pose: int, stamp: float, odometry: Odometry) -> Floats:
+        """Begin a pose, its number following the one before, where odometry has it; return the estimate of that one.
+
+        Args:
+            pose: number of the new pose.
+            stamp: seconds.
+            odometry: to it from the one before.
+        """
         if self._pending is not None:
             self._flush()
-        T_world_lidar = self.T_world_lidar(odometry.i) @ odometry.T_i_j
-        self._pending = _Pending(pose, stamp, T_world_lidar, odometry)
+        before = self.T_world_lidar(odometry.i)
+        self._pending = _Pending(pose, stamp, before @ odometry.T_i_j, odometry)
         self._places.move(odometry)
+        return before
 
     def begin_at(self, pose: int, stamp: float, T_world_lidar: Floats) -> None:
         """Begin a pose at (4, 4) that only its matches will link; stamp in seconds."""

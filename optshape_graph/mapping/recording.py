@@ -115,7 +115,7 @@ def map_recording(
 
     Scans are placed by odometry, and by what they have in common with others; without odometry, by that alone. Scans
     that cannot be used are skipped with a reason and counted. Several LiDARs of one robot make one map; its poses are
-    of the first. A clock that was set back in between is followed.
+    of the first. A clock that was set in between is followed.
 
     Args:
         recording: a ROS 1 or ROS 2 bag, an .mcap file, a folder of clouds with timestamps.txt, or a session (.yaml),

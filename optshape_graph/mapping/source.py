@@ -85,7 +85,7 @@ class Source:
 
     @property
     def jumps(self) -> dict[str, tuple[Jump, ...]]:
-        """How clocks were set back, by the name of the stream."""
+        """How clocks were set, by the name of the stream."""
         streams = [*self._streams, *([self.poses] if isinstance(self.poses, Stream) else [])]
         return {stream.name: tuple(stream.jumps) for stream in streams if stream.jumps}
 

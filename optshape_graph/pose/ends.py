@@ -333,7 +333,7 @@ class Problem(Value):
             residual = rows[:, :5] @ x + rows[:, 7]
             weight = 1.0 / np.maximum(np.abs(residual) / _HUBER, 1.0)
         strain, probability = _strain(np.sqrt(weight)[:, None] * rows)
-        return EndsFit(residual, float(x[3]), float(x[4]), max(len(residual) - 3, 0), strain, probability)
+        return EndsFit(residual, sd, float(x[3]), float(x[4]), max(len(residual) - 3, 0), strain, probability)
 
     def strains(self, labels: Ints, points: Floats, T_target_lidar: Floats) -> Floats:
         """(..., M, 2) how far two strains of the outline, of unit size at constant area, move points off edges.
@@ -353,6 +353,7 @@ class EndsFit(Value):
 
     Attributes:
         z: (M,) residuals in standard deviations, positive outside.
+        sd: (M,) those standard deviations, across the edges, metres.
         offset: common offset across the edges in standard deviations of its prior, positive: returns lie further in.
         blooming: how much further the rings reach, in standard deviations of its prior.
         freedom: degrees of freedom: of the pose in the plane are three, offset and blooming have priors.
@@ -361,6 +362,7 @@ class EndsFit(Value):
     """
 
     z: Floats
+    sd: Floats
     offset: float
     blooming: float
     freedom: int

@@ -1,4 +1,4 @@
-"""Many tasks: workers and clusters, journals of what is finished, interruption. Knows no LiDAR.
+"""Many tasks: workers and clusters, journals of finished tasks, interruption. It knows no LiDAR.
 
-Each module is imported by its name, so that a command that has one task does not wait for what many need.
+Each module is imported by its name, so that a command with one task does not import what many tasks need.
 """

@@ -1,4 +1,4 @@
-"""One function over many files, its results the entries of one document that are kept as they come."""
+"""One function over many files: its results are the entries of one document, and are kept as they come."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from optshape_graph.runs.journal import Journal, journal_of
 from optshape_graph.runs.workers import Lost, Pool
 
 Progress = Callable[[int, int], None]
-"""Called with the number of files that are done, and that of all."""
+"""Called with the numbers of finished and of all files."""
 
 UNREADABLE = "unreadable"
-"""Status of a file that is none of its kind."""
+"""Status of a file that cannot be read as expected."""
 
 LIST = "scans"
-"""Key of the document under which its entries stand."""
+"""Key of the document's list of entries."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one file.
+    """The outcome of one file.
 
     Attributes:
         status: "ok", "ambiguous", "failed" or `UNREADABLE`.
-        reasons: why it is not ok, a line for each thing.
-        entry: what the document says of it, plain data.
-        pictures: files that were drawn of it.
+        reasons: why it is not ok, a line for each reason.
+        entry: its entry in the document, plain data.
+        pictures: files with its pictures.
     """
 
     status: str
@@ -48,7 +48,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class _Kept:
-    """A function whose outcome is a line of the journal, entry encoded: workers have that to do as well."""
+    """A function that returns its outcome as a line of the journal, so that workers encode entries, too."""
 
     function: Callable[[str], Outcome]
 
@@ -68,23 +68,23 @@ def run_files(
     pool: Pool | None = None,
     progress: Progress | None = None,
 ) -> Iterator[Journal]:
-    """Apply a function to files, and write the document of all; go on where a run that was stopped ended.
+    """Apply a function to files, and write one document; go on where a stopped run ended.
 
     Args:
         function: of a path; importable by name, picklable with what it holds.
         paths: of the files, in the order of the document.
         failed: outcome of a path and a reason, for a file whose worker was killed.
         form: kind of the document, `optshape/<form>/1`.
-        describe: plain data that say what is done with each file.
-        output: of the document; its journal is beside it until it is written. None: nothing is written.
-        pool: what runs it; None: this process.
-        progress: called as files are done.
+        describe: plain data that describe what is done with each file.
+        output: the document; its journal is beside it until it is written. None: nothing is written.
+        pool: the workers; None: this process.
+        progress: called as files are finished.
 
     Yields:
         The journal: a line for each file, in their order, with its `status`, `reasons` and `entry` (JSON text).
 
     Raises:
-        InputError: not one of the files can be read, or the output or its journal cannot be written.
+        InputError: none of the files can be read, or the output or its journal cannot be written.
     """
     what = {"form": form, "version": __version__, **describe, "files": fingerprint(paths)}
     with (
@@ -109,11 +109,11 @@ def run_files(
 
 
 def write_entries(path: Path, schema: str, entries: Iterator[str]) -> None:
-    """Write a document whose one list has these entries, one at a time.
+    """Write a document with one list, entry by entry.
 
     Args:
         path: of the document.
-        schema: what it says it is.
+        schema: of the document.
         entries: JSON text of each.
 
     Raises:
@@ -129,7 +129,7 @@ def write_entries(path: Path, schema: str, entries: Iterator[str]) -> None:
 
 
 def fingerprint(paths: Sequence[str]) -> str:
-    """Return a short text that changes when a file is another, or was changed: names, sizes and times.
+    """Return a short text that changes if files are replaced or changed: a digest of names, sizes and times.
 
     Args:
         paths: of the files.

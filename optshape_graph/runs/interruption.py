@@ -1,7 +1,7 @@
-"""SIGINT, SIGTERM and SIGHUP as an exception, so that what is finished is kept and workers are ended.
+"""SIGINT, SIGTERM and SIGHUP as an exception, so that finished tasks are kept and workers are ended.
 
-Python calls a handler between two of its own instructions, which a library's long computation keeps it from. So a
-thread watches as well: whatever the process was doing, it says its line and ends `SECONDS` after a signal.
+Python calls a handler between two of its own instructions, so a long computation in a library delays it. Therefore a
+thread watches, too: it prints the line and ends the process `SECONDS` after a signal, whatever the process is doing.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from types import FrameType
 from optshape_graph.names import shown
 
 SECONDS = 1.0
-"""That may pass between a signal and the end of the process, whatever it was doing."""
+"""Seconds between a signal and the end of the process, at most."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 _advices: list[Callable[[], str]] = []
-"""What is kept, and how to go on, by what runs: the innermost is last."""
+"""Functions that return what is kept and how to go on, of each running block; the innermost is last."""
 
 _seen: list[Stopped] = []
-"""What was raised in this run, if anything."""
+"""The exception that was raised in this run, if any."""
 
 _line = threading.Lock()
-"""Taken by who says that the process was stopped: it is said once."""
+"""Taken by the first to print that the process was stopped, so that it is printed once."""
 
 
 class Stopped(BaseException):
     """The process was asked to end.
 
     Attributes:
-        signal: that asked.
-        advice: what is kept, and how to go on; empty: nothing was begun that could go on.
+        signal: number of the signal.
+        advice: what is kept, and how to go on; empty: nothing can go on.
     """
 
     def __init__(self, number: int) -> None:
@@ -47,12 +47,12 @@ class Stopped(BaseException):
 
     @property
     def exit_status(self) -> int:
-        """What shells expect: 130 after SIGINT, 143 after SIGTERM."""
+        """Exit status that shells expect: 130 after SIGINT, 143 after SIGTERM."""
         return 128 + self.signal
 
 
 def end_on_signals() -> None:
-    """End at a signal with one line and nothing else: while a command starts, and when it has ended."""
+    """End at a signal with one line, while a command starts and after it has ended."""
     _handle(_end)
 
 
@@ -75,7 +75,7 @@ def stop_on_signals() -> None:
 
 @contextmanager
 def whatever_becomes_of_it() -> Iterator[None]:
-    """Raise `Stopped` in place of what became of it: native code that it passes turns it into errors of its own."""
+    """Raise `Stopped` in place of any error that native code has turned it into."""
     try:
         yield
     except Stopped:
@@ -88,16 +88,16 @@ def whatever_becomes_of_it() -> Iterator[None]:
 
 @contextmanager
 def going_on(advice: Callable[[], str]) -> Iterator[None]:
-    """Add to a `Stopped` that passes what is kept, and how to go on.
+    """Add to a `Stopped` from the block what is kept, and how to go on.
 
     Args:
-        advice: returns a sentence, when it is asked for.
+        advice: returns that sentence.
     """
     _advices.append(advice)
     try:
         yield
     except BaseException as error:
-        for stopped in (error, *_seen):  # which native code may have turned into an error of its own
+        for stopped in (error, *_seen):  # native code may have turned it into another error
             if isinstance(stopped, Stopped):
                 stopped.advice = stopped.advice or advice()
         raise
@@ -106,19 +106,19 @@ def going_on(advice: Callable[[], str]) -> Iterator[None]:
 
 
 def first_to_say() -> bool:
-    """Whether nobody has said yet that the process was stopped; who asks has to say it."""
+    """Return whether nobody has printed yet that the process was stopped; then the caller must print it."""
     return _line.acquire(blocking=False)
 
 
 def stopped_line(number: int, advice: str) -> str:
-    """Return the line that says by which signal the process was stopped, what is kept, and how to go on."""
+    """Return the line with the signal that stopped the process, what is kept, and how to go on."""
     return f"optshape: stopped by {signal.Signals(number).name}" + (f": {advice}" if advice else "")
 
 
 def _handle(handler: Callable[[int, FrameType | None], None]) -> bool:
-    """Handle the signals, those apart that are ignored: under nohup, or by a job in the background."""
+    """Set the handler of the signals, except of those that are ignored, as under nohup or in a background job."""
     if threading.current_thread() is not threading.main_thread():
-        return False  # only the main thread can have handlers: who runs this in another has their own
+        return False  # only the main thread can have handlers
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
@@ -126,7 +126,7 @@ def _handle(handler: Callable[[int, FrameType | None], None]) -> bool:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """Raise at the first signal; of a second one the watcher ends the process."""
+    """Raise at the first signal; at a second one the watcher ends the process."""
     _handle(_stopping)
     _seen.append(Stopped(number))
     raise _seen[0]
@@ -147,7 +147,7 @@ def _watch(reader: int) -> None:
 
 
 def _await_second(reader: int) -> None:
-    """Wait until time is over, or for another signal."""
+    """Wait until the time is over, or for another signal."""
     import select
 
     deadline = time.monotonic() + SECONDS
@@ -157,7 +157,7 @@ def _await_second(reader: int) -> None:
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    """Say why, and end without a word more from anything that runs."""
+    """Print why, and end the process with no further output."""
     if first_to_say():
         advice = _seen[0].advice if _seen else ""
         with suppress(Exception):
@@ -168,6 +168,6 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 
 def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
-    """Say nothing of a `Stopped` that was raised where nothing can be: the watcher ends the process."""
+    """Ignore a `Stopped` where no exception can be raised: the watcher ends the process."""
     if not issubclass(unraisable.exc_type, Stopped):
         sys.__unraisablehook__(unraisable)

@@ -1,8 +1,9 @@
-"""The journal of a run: a line for each finished task, so that a run that was stopped goes on where it was.
+"""The journal of a run: a line for each finished task, so that a stopped run goes on where it was.
 
-The first line says what is run; every other is a JSON object whose first key is the task's number. A line is written at
-once and whole; half a line at the end, of a process that was killed, is cut off. The file is locked while a process has
-it open, so that a second run of the same output is told.
+The first line describes the run; every other line is a JSON object whose first key is the task's number. A line is
+written in one call; half a line at the end, from a killed process, is cut off. The file is locked while a process has
+it open, so that a second run with the same output is refused. A run that failed says so in a
+last line: the same run goes on after it, and another one begins anew instead of being refused.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ import json
 import os
 import re
 from array import array
+from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO, Self
@@ -22,27 +24,30 @@ from typing import Any, BinaryIO, Self
 from optshape_graph.errors import InputError
 
 KIND = "journal of optshape_graph, 1"
-"""What the first line says that the file is."""
+"""Kind of the file, stated in the first line."""
 
 MOST_AHEAD = 100_000
-"""Tasks by which one may be finished before those in front of it, where their number is not known."""
+"""A task may be finished so many numbers ahead of unfinished ones, if the number of tasks is not known."""
 
 _PIECE = 1 << 18
-"""Bytes that are read at once."""
+"""Bytes that are read in one call."""
 
 _FIRST = json.dumps({"kind": KIND}).encode()[:-1]
-"""What a journal begins with."""
+"""Beginning of every journal."""
+
+_FAILED = json.dumps({"failed": True}).encode()
+"""What the last line of a run that failed is."""
 
 _TASK = re.compile(rb'\{"task": (\d{1,12}),')
 
 
 class Journal:
-    """What is finished of a run, on disk; in memory only where each line stands.
+    """The finished tasks of a run, on disk; only the place of each line is in memory.
 
     Args:
-        path: of the journal; None: it is forgotten when it is closed.
-        describe: plain data that say what is run: a journal of another run is refused.
-        count: number of the tasks; None: it is not known before.
+        path: of the journal; None: it is dropped when it is closed.
+        describe: plain data that describe the run; the journal of another run is refused.
+        count: number of the tasks; None: not known in advance.
 
     Raises:
         InputError: the file holds another run, is in use, or cannot be written.
@@ -62,12 +67,15 @@ class Journal:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None and issubclass(kind, Exception) and self.finished:  # not where it was told to stop
+            with suppress(InputError):
+                self._append({"failed": True})
         self.close()
 
     @property
     def count(self) -> int:
-        """Number of the tasks; where it was not known, of those up to the last that is finished."""
+        """Number of the tasks; if it is not known, of those up to the last finished one."""
         return len(self._places)
 
     def __contains__(self, task: int) -> bool:
@@ -83,15 +91,15 @@ class Journal:
         return self._parsed(line.partition(b"\n")[0], task)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
-        """Lines of the finished tasks, in the order of the tasks."""
+        """Yield the lines of the finished tasks, in the order of the tasks."""
         return (self[task] for task in range(self.count) if task in self)
 
     def todo(self) -> Iterator[int]:
-        """Numbers of the tasks that are not finished."""
+        """Yield the numbers of the tasks that are not finished."""
         return (task for task in range(self.count) if self._places[task] < 0)
 
     def add(self, task: int, line: Mapping[str, Any]) -> None:
-        """Keep what came of a task.
+        """Add the result of a task.
 
         Args:
             task: its number.
@@ -109,7 +117,7 @@ class Journal:
         place = self._file.seek(0, os.SEEK_END)
         try:
             left = memoryview(json.dumps(line, allow_nan=False).encode() + b"\n")
-            while left:  # a disk that is nearly full takes a part first, and says why with the next
+            while left:  # a disk that is nearly full takes a part first, and fails with the next
                 left = left[self._file.write(left) :]
         except OSError as error:
             self._file.truncate(place)
@@ -119,17 +127,17 @@ class Journal:
         return place
 
     def _note(self, task: int, place: int) -> None:
-        """Remember where the line of a task stands."""
+        """Note the place of a task's line."""
         if task >= len(self._places):
             self._places.extend([-1] * (task + 1 - len(self._places)))
         self.finished += self._places[task] < 0
         self._places[task] = place
 
     def advice(self, what: str) -> str:
-        """Return what is kept of a run that was stopped, and how to go on.
+        """Return what is kept of a stopped run, and how to go on.
 
         Args:
-            what: is kept, with its number: "3 of 5 files are done".
+            what: the finished part: "3 of 5 files are done".
         """
         if self.path is None:
             return f"{what}; nothing is kept without --json"
@@ -138,13 +146,13 @@ class Journal:
         return f"{what}, and kept in {self.path}; the same command goes on there"
 
     def close(self) -> None:
-        """Close the file, and let others have it; one in which nothing is finished goes."""
+        """Close and unlock the file; remove it if no task is finished."""
         if self.path is not None and not self.finished:
             self.path.unlink(missing_ok=True)
         self._file.close()
 
     def remove(self) -> None:
-        """Remove the file: what it was kept for is written."""
+        """Remove the file, once the output is written."""
         if self.path is not None:
             self.path.unlink(missing_ok=True)
         self.close()
@@ -155,16 +163,23 @@ class Journal:
         found = None if first is None else self._parsed(first[1], None)
         if not self._new() if found is None else found.get("kind") != KIND:
             raise InputError(f"{self.path}: expected the journal of a run, found another file; choose another output")
-        if first is None or second is None:  # nothing is finished: new, or killed at once
+        if first is None or second is None:  # no task is finished: the journal is new, or its run was killed at once
             self._file.truncate(0)
             self._append(header)
             return
         if found != header:
+            last = deque(lines, 1)
+            if last and last[0][1] == _FAILED:  # its user has found out why
+                self._file.truncate(0)
+                self._append(header)
+                return
             raise InputError(
                 f"{self.path}: holds what is finished of another run (other inputs, options or version); go on with "
                 "the same command as before, or remove it to begin anew"
             )
         for place, line in chain([second], lines):
+            if line == _FAILED:
+                break
             match = _TASK.match(line)
             if match is None or int(match[1]) >= (self.finished + MOST_AHEAD if count is None else count):
                 raise InputError(f"{self.path}: not a line of a journal at byte {place}; remove the file to begin anew")
@@ -173,12 +188,12 @@ class Journal:
         self._file.truncate(end)
 
     def _new(self) -> bool:
-        """Whether the file is empty, or the beginning of a first line."""
+        """Return whether the file is empty, or has only the beginning of a first line."""
         start = os.pread(self._file.fileno(), len(_FIRST), 0)
         return _FIRST.startswith(start)
 
     def _lines(self) -> Iterator[tuple[int, bytes]]:
-        """The whole lines of the file, each with its place. The file has no buffer, so that a line is one write."""
+        """Yield the whole lines of the file, each with its place. Without a buffer, a line is one write."""
         place, offset, rest = 0, 0, b""
         while piece := os.pread(self._file.fileno(), _PIECE, offset):
             offset += len(piece)
@@ -198,7 +213,7 @@ class Journal:
 
 
 def journal_of(output: Path | None) -> Path | None:
-    """Return the path of the journal of an output file: beside it; None where it is no file, as /dev/stdout is none."""
+    """Return the path of an output file's journal, beside it; None if the output is no file, as /dev/stdout."""
     if output is None or (output.exists() and not output.is_file()):
         return None
     return output.with_name(f"{output.name}.journal")
@@ -206,13 +221,13 @@ def journal_of(output: Path | None) -> Path | None:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder for one run, while the block runs.
+    """Lock a folder for one run, while the block runs.
 
     Args:
-        folder: that the run writes to.
+        folder: to which the run writes.
 
     Raises:
-        InputError: another run holds it.
+        InputError: another run has locked it.
     """
     handle = os.open(folder, os.O_RDONLY)
     try:
@@ -226,7 +241,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def digest(describe: Mapping[str, Any]) -> str:
-    """Return a short text that tells plain data, arrays included, from others."""
+    """Return a short text that differs for different plain data, which may have arrays."""
     text = json.dumps(describe, sort_keys=True, default=lambda value: value.tolist())
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

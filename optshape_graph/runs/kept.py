@@ -1,8 +1,8 @@
-"""Results of slow steps, kept in a journal beside an output: a run that was stopped does not repeat them.
+"""Results of slow steps, kept in a journal beside an output, so that the next run does not repeat them.
 
-A step is known by what it is made of, such as a file, a sensor and a target, not by its number: a calibration is run
-again with a view more or another option, and repeats only what has changed. A command holds `keeping(output)` while it
-works, and hands what it yields down to `kept(...)` around each slow step.
+A step is identified by its inputs, such as a file, a sensor and a target, not by a number: if a calibration is run
+again with another view or option, only changed steps are repeated. A command holds `keeping(output)` while it works,
+and passes the `kept` that it yields down; the library calls `kept(...)` for each slow step.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from optshape_graph.runs.journal import Journal, digest, journal_of
 T = TypeVar("T")
 
 _ANY_RUN = {"form": "kept", "version": __version__}
-"""What the journal is of: steps of whatever run, each with what it is made of."""
+"""Description of the journal: steps of any run, each identified by its inputs."""
 
 
 class Kept:
-    """Results of steps by what they are made of; steps may be done in several threads.
+    """Results of steps by their inputs; steps may run in several threads.
 
     Args:
-        journal: that keeps them; None: nothing is kept.
+        journal: for the results; None: nothing is kept.
     """
 
     def __init__(self, journal: Journal | None = None) -> None:
@@ -37,16 +37,16 @@ class Kept:
         self._tasks: dict[str, int] = {str(line.get("of")): line["task"] for line in journal or ()}
 
     def __call__(self, kind: Any, of: Mapping[str, Any], make: Callable[[], T]) -> T:
-        """Return the result of a step: as it was kept, or made now and kept.
+        """Return the kept result of a step, or make it now and keep it.
 
         Args:
-            kind: type of the result, from which its record is restored (see `io.records`).
-            of: all that the result depends on: values that have a record, and files, by `runs.files.fingerprint`.
-            make: makes it.
+            kind: type of the result, by which its record is restored (see `io.records`).
+            of: all inputs of the step: values that have a record, and files by `runs.files.fingerprint`.
+            make: makes the result.
 
         Raises:
-            EstimationError: of `make`; it is kept as a result is.
-            InputError: of `make`; or the journal cannot be written, or is damaged.
+            EstimationError: from `make`; it is kept like a result.
+            InputError: from `make`; or the journal cannot be written, or is damaged.
         """
         if self._journal is None:
             return make()
@@ -64,7 +64,7 @@ class Kept:
             self._tasks[key] = task
 
     def _restored(self, kind: Any, key: str) -> Any:
-        """The result out of its line, whether it was just added or not: both ways the same bits."""
+        """Return the result from its line, also if the line is new, so that the bits are always the same."""
         assert self._journal is not None
         line = self._journal[self._tasks[key]]
         if "failed" in line:
@@ -81,13 +81,13 @@ def _line_of(make: Callable[[], Any]) -> dict[str, Any]:
 
 @contextmanager
 def keeping(output: Path | None) -> Iterator[Kept]:
-    """Keep the results of steps beside an output until the block ends, in which the output is written.
+    """Keep the results of steps beside an output, until the end of the block in which the output is written.
 
     Args:
         output: file of the run; None: nothing is kept.
 
     Yields:
-        What keeps them: to be handed to the function that does the steps.
+        The object that keeps results, for the function that does the steps.
 
     Raises:
         InputError: the journal is in use, another file, or cannot be written.

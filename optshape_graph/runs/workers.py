@@ -1,4 +1,4 @@
-"""The pool: what runs many tasks, processes of this machine or a Dask cluster.
+"""The pool of workers that run many tasks: processes of this machine, or a Dask cluster.
 
 A function of a plain value is applied to many. A worker that is killed costs one task one more try.
 """
@@ -23,7 +23,7 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class Pool:
-    """What runs the tasks.
+    """The workers that run tasks.
 
     Attributes:
         workers: processes on this machine; 1: this process itself.

@@ -1,6 +1,7 @@
 """Simulated scans with known truth: sensors, scenes, noise.
 
-`simulate_target` gives one target's returns; `simulate` a full revolution of a `Scene`, of a sensor at rest or moving.
+`simulate_target` returns one target's returns; `simulate` a full revolution in a `Scene`, of a sensor at rest or
+moving.
 """
 
 from optshape_graph.simulation.mesh import Mesh

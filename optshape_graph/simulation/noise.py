@@ -1,4 +1,4 @@
-"""What makes a simulated return differ from the geometry: noise, bias, quantisation, lost and partial hits."""
+"""Errors of simulated returns: noise, biases, quantisation, lost returns and partial hits."""
 
 from __future__ import annotations
 
@@ -16,38 +16,37 @@ from optshape_graph.simulation.rays import AngleErrors, EdgeMargin
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """How measurements err, in the sensor's spherical coordinates.
+    """Errors of measurements, in the sensor's spherical coordinates.
 
-    A ray is fired at its nominal azimuth and elevation and meets the scene there; range, azimuth and elevation are
-    then measured with independent normal errors and the point is reported at the measured values. (That is how the
-    paper's simulator states its levels. An encoder that errs fires elsewhere than it reports: to first order on a
-    plane it gives the same points.)
+    A ray is fired at its nominal azimuth and elevation and meets the scene there. Range, azimuth and elevation are then
+    measured with independent normal errors, and the point is reported at the measured values, as in the paper's
+    simulator. (With an error of the encoder, a ray is fired elsewhere than it is reported; on a plane the points are
+    the same to first order.)
 
     Attributes:
         range_noise: standard deviation of one range, metres.
         azimuth_noise: standard deviation of one azimuth, rad.
         elevation_noise: standard deviation of one elevation, rad.
         ring_bias: standard deviation over rings of the range bias that a ring keeps, metres.
-        elevation_error: standard deviation over rings of how far a ring's elevation is off the sensor's table, rad.
-        azimuth_error: standard deviation over rings of how far a ring's azimuth is off, rad.
-        brightness_bias: standard deviation of the range bias that each surface in a scan has, metres.
-        blooming: standard deviation of the azimuth by which targets reach further, in a scan, on each side, rad.
-        odd_ends: share of ring ends on targets of which one firing more returns, or one to three fewer.
+        elevation_error: standard deviation, over rings, of the error of a ring's elevation, rad.
+        azimuth_error: standard deviation, over rings, of the error of a ring's azimuth, rad.
+        brightness_bias: standard deviation of the range bias of each surface in a scan, metres.
+        blooming: standard deviation, over scans, of the azimuth by which targets reach further on each side, rad.
+        odd_ends: share of ring ends on targets at which one firing more returns, or one to three fewer.
         range_resolution: step to which ranges are rounded, metres; 0: not rounded.
         dropout: probability that a return at normal incidence is lost. At incidence i it is dropout**cos(i), so
-            that nothing returns from a surface seen along itself.
-        hit_fraction: a beam returns from a target if at least this fraction of its footprint lies on it. 0.5: its
-            axis decides. The fraction is that of a half plane, so right up to a footprint's width from a vertex.
-        edge_spread: how far from there the decision falls at an edge, in beam radii: half the width of a uniform
-            distribution, drawn once for a scan and again for every ray. What is behind the target, its reflectance
-            and the threshold decide in fact, and none of them is modelled.
-        common_edge_spread: of the part that is drawn once for a scan; None: as `edge_spread`. 0: it is always where
-            `hit_fraction` has it.
-        random_phase: whether the azimuth grid is shifted by a random part of a step in every revolution, as in
+            that nothing returns from a surface seen edge-on.
+        hit_fraction: a beam returns from a target if at least this fraction of its footprint lies on it; with 0.5 its
+            axis decides. The footprint is cut by a half plane, which is right except within its width of a vertex.
+        edge_spread: half the width of a uniform distribution of the place at which a beam begins to return, about that
+            of `hit_fraction`, in beam radii; drawn once for a scan and again for every ray. In reality it depends on
+            the background, the reflectance and the threshold, which are not modelled.
+        common_edge_spread: `edge_spread` of the part that is drawn once for a scan; None: the same; 0: no such part.
+        random_phase: whether the azimuth grid is shifted by a random part of a step in every revolution, as for
             sensors that do not lock their phase.
 
     Raises:
-        InputError: a standard deviation, resolution or probability out of range.
+        InputError: a standard deviation, resolution or probability outside its range.
     """
 
     range_noise: float = 0.0
@@ -92,9 +91,9 @@ class NoiseModel:
 
     @classmethod
     def of(cls, sensor: SensorModel) -> NoiseModel:
-        """Return what the sensor's own model says: noise, its rings' errors, resolution, blooming and odd ring ends.
+        """Return the errors of the sensor's own model: noise, errors of rings, resolution, blooming and odd ring ends.
 
-        The azimuth phase is free, and a partial hit may or may not return, wherever in the beam the edge lies.
+        The azimuth phase is free, and whether a partial hit returns is uniformly distributed over the beam.
         """
         return cls(
             range_noise=sensor.range_noise,
@@ -136,7 +135,7 @@ class NoiseModel:
 
     @cached_property
     def edge_shift(self) -> float:
-        """How far beyond an edge a beam's axis may pass and still return, in beam radii: within (-1, 1).
+        """Largest distance beyond an edge at which a beam's axis may pass and the beam still return, in beam radii.
 
         A half plane whose border is x radii from the centre of a disc covers (arccos x - x sqrt(1 - x^2)) / pi of it.
         """
@@ -149,19 +148,19 @@ class NoiseModel:
         return float(brentq(excess, -1.0, 1.0, xtol=1e-12))
 
     def draw_range_bias(self, n_rings: int, rng: np.random.Generator) -> Floats:
-        """(n_rings,) range bias of each ring, metres: draw once for a sensor, or once for a scan."""
+        """Draw the range bias (n_rings,) of each ring, metres: once for a sensor, or once for a scan."""
         return rng.normal(0.0, self.ring_bias, n_rings) if self.ring_bias > 0 else np.zeros(n_rings)
 
     def draw_brightness_bias(self, n_surfaces: int, rng: np.random.Generator) -> Floats:
-        """(n_surfaces,) range bias of each surface, metres."""
+        """Draw the range bias (n_surfaces,) of each surface, metres."""
         return rng.normal(0.0, self.brightness_bias, n_surfaces) if self.brightness_bias > 0 else np.zeros(n_surfaces)
 
     def draw_angle_errors(self, n_rings: int, rng: np.random.Generator) -> AngleErrors:
-        """Return how far the rings look elsewhere than the sensor's table says: draw once for a sensor, or for a scan.
+        """Draw the errors of the rings' directions: once for a sensor, or once for a scan.
 
         Args:
             n_rings: number of rings.
-            rng: source of randomness; what it gives afterwards does not depend on this.
+            rng: source of randomness; its later numbers do not depend on this call.
         """
         own = rng.spawn(1)[0]
         return AngleErrors(
@@ -169,17 +168,17 @@ class NoiseModel:
         )
 
     def draw_phase(self, step: float, rng: np.random.Generator) -> float:
-        """Azimuth by which a revolution's grid is shifted, rad: 0 unless the phase is free."""
+        """Draw the azimuth by which a revolution's grid is shifted, rad; 0 unless the phase is free."""
         return float(rng.uniform(0.0, step)) if self.random_phase else 0.0
 
     def widest_edge_margin(self, sensor: SensorModel) -> EdgeMargin:
-        """Return one that no ray exceeds."""
+        """Return a margin that no ray's margin exceeds."""
         widest = 1.0 + self.edge_spread + max(self.edge_spread, self.common_edge_spread or 0.0)
         further = MOST_BLOOMING * self.blooming
         return EdgeMargin(np.array([widest]), sensor.beam_divergence, sensor.beam_aperture, further)
 
     def draw_edge_margin(self, sensor: SensorModel, n_rays: int, rng: np.random.Generator) -> EdgeMargin:
-        """Return by how much each beam's axis may pass outside an edge and still return.
+        """Draw how far outside an edge each beam's axis may pass while the beam still returns.
 
         Args:
             sensor: whose beams.
@@ -197,7 +196,7 @@ class NoiseModel:
         return EdgeMargin(radii, sensor.beam_divergence, sensor.beam_aperture, further)
 
     def draw_survivors(self, cos_incidence: Floats, rng: np.random.Generator) -> Bools:
-        """(N,) whether a return at each (N,) cosine of incidence is detected."""
+        """Draw (N,) whether returns at cosines of incidence (N,) are detected."""
         if self.dropout == 0.0:
             return np.ones(len(cos_incidence), dtype=bool)
         return np.asarray(rng.uniform(size=len(cos_incidence)) >= self.dropout**cos_incidence)
@@ -205,7 +204,7 @@ class NoiseModel:
     def measure(
         self, ranges: Floats, azimuth: Floats, elevation: Floats, bias: Floats, rng: np.random.Generator
     ) -> tuple[Floats, Floats, Floats]:
-        """Return measured (N,) ranges, metres, azimuths and elevations, rad, of (N,) true ones.
+        """Return measured ranges (N,), metres, azimuths and elevations, rad, of true ones.
 
         Args:
             ranges: (N,) metres.
@@ -227,7 +226,7 @@ class NoiseModel:
 
 
 MOST_BLOOMING = 4.0
-"""Standard deviations by which a target blooms at most."""
+"""Largest blooming of a target, in standard deviations."""
 
 
 def _rms(sds: Floats) -> float:

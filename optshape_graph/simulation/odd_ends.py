@@ -1,4 +1,4 @@
-"""Ring ends that are not what they seem: the last return a stray beyond the edge, or the last few lost."""
+"""Odd ring ends: the last return is a stray beyond the edge, or the last few returns are lost."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from optshape_graph.simulation.rays import at
 from optshape_graph.simulation.surfaces import Patch
 
 MOST_LOST = 3
-"""Returns that an odd end has lost at most."""
+"""Returns that an odd end lacks at most."""
 
 
 NEXT_TO = np.cos(np.radians(3.0))
-"""Cosine of the angle between rays that are neighbours in a ring."""
+"""Rays of a ring count as neighbours if the cosine of their angle exceeds this."""
 
 
 def make_odd_ends(
@@ -29,8 +29,8 @@ def make_odd_ends(
 ) -> None:
     """Make a share of a target's ring ends odd, in place: each is a stray or loses one to three, equally likely.
 
-    A stray is one firing further than the ring's last return, at the range of the target's plane. Returns that are
-    lost are no returns of anything. A ring keeps one return at least.
+    A stray is one firing further than the ring's last return, at the range of the target's plane. Firings whose returns
+    are lost return nothing. A ring keeps at least one return.
 
     Args:
         k: number of the target among the surfaces.
@@ -47,7 +47,7 @@ def make_odd_ends(
     columns = len(surface) // n_rings
     for ring in np.unique(rays % n_rings):
         column = rays[rays % n_rings == ring] // n_rings
-        # A target behind the sensor is cut by the ends of the revolution: it begins after its widest gap.
+        # A target behind the sensor is cut by the ends of the revolution; it begins after its widest gap.
         gaps = np.diff(column, append=column[0] + columns)
         column = np.roll(column, -1 - int(gaps.argmax()))
         for outward in (1, -1):

@@ -11,7 +11,7 @@ from optshape_graph.errors import InputError
 
 
 def pose_from_rpy(position: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
-    """(4, 4) pose with R = Rx(roll) Ry(pitch) Rz(yaw).
+    """Return the pose (4, 4) with R = Rx(roll) Ry(pitch) Rz(yaw).
 
     Args:
         position: (3,) metres.

@@ -16,21 +16,21 @@ Sphere = tuple[Floats, float]
 """(3,) centre and radius, metres."""
 
 MOST_RAYS = 20_000_000
-"""Of one revolution: ten times those of the densest sensor there is."""
+"""Rays of a revolution at most: ten times those of the densest existing sensor."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EdgeMargin(Value):
-    """How far outside an edge a beam's axis may pass and still return, in radii of the beam.
+    """How far outside an edge a beam's axis may pass while the beam still returns, in radii of the beam.
 
     At a range r the beam's radius is an angle of (divergence + aperture / r) / 2.
 
     Attributes:
-        radii: (N,) of each ray, or (1,) of all, in units of the beam's radius; negative: by which the axis must pass
+        radii: (N,) of each ray, or (1,) of all, in units of the beam's radius; if negative, the axis must pass that far
             inside.
         divergence: full angle of the beam, rad.
         aperture: width of the beam where it leaves the sensor, metres.
-        further: azimuth by which a ray may pass outside beside, rad: blooming. Negative: by which it must pass inside.
+        further: azimuth by which a ray may pass further outside because of blooming, rad; it may be negative.
         axis: (3,) unit vector along that of the revolution, world frame.
     """
 
@@ -41,17 +41,17 @@ class EdgeMargin(Value):
     axis: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
     def angle(self, index: Ints, ranges: Floats) -> Floats:
-        """(M,) rad, of rays (M,) at ranges (M,), metres."""
+        """Return the margins (M,), rad, of rays (M,) at ranges (M,), metres."""
         return np.asarray(0.5 * at(self.radii, index) * (self.divergence + self.aperture / ranges))
 
     def widen(self, sphere: Sphere, distance: Floats) -> Floats:
-        """(N,) radius, metres, of a sphere so wide that rays which pass it miss what is in it by more than the margin.
+        """Return radii (N,), metres, of widened spheres: rays that miss one miss its content by more than the margin.
 
         Args:
             sphere: around something.
             distance: (N,) of its centre from the rays' origins, metres.
         """
-        # Twice the margin at the centre: it is an angle, and what is in the sphere may be up to twice as far.
+        # Twice the margin at the centre: it is an angle, and the content of the sphere may be up to twice as far.
         width = np.abs(self.radii).max(initial=0.0) * (self.divergence * distance + self.aperture)
         return np.asarray((sphere[1] + width + 2 * max(self.further, 0.0) * distance) * (1 + 1e-9))
 
@@ -66,9 +66,9 @@ def at(values: Floats, index: Ints) -> Floats:
 
 
 def unit_vectors(azimuth: Floats, elevation: Floats) -> Floats:
-    """(..., 3) unit vectors at azimuths about z from x, and elevations, rad, of shapes that broadcast.
+    """Return unit vectors (..., 3) at azimuths about z from x, and elevations, rad, of shapes that broadcast.
 
-    Memory is laid out by coordinate, which makes products with many of them several times faster.
+    Memory is laid out by coordinate, which makes products of many vectors several times faster.
     """
     cos_elevation = np.cos(elevation)
     vectors = np.empty((3, *np.broadcast_shapes(azimuth.shape, elevation.shape)))
@@ -80,7 +80,7 @@ def unit_vectors(azimuth: Floats, elevation: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AngleErrors(Value):
-    """How far the rings of one copy of a sensor look elsewhere than its file says.
+    """Errors of the directions of a sensor unit's rings, relative to its file.
 
     Attributes:
         elevation: (R,) rad by which each ring looks higher.
@@ -98,7 +98,7 @@ class Revolution(Value):
     Attributes:
         sensor: whose rays they are.
         columns: (A,) azimuth of each column, rad, from half a turn before x to half a turn after.
-        errors: where the rings look elsewhere than the sensor's file says; None: nowhere.
+        errors: of the rings' directions; None: no errors.
         spin_rate: revolutions per second.
     """
 
@@ -114,7 +114,7 @@ class Revolution(Value):
         """Return the revolution with columns at azimuth k step + phase, k integer.
 
         Args:
-            sensor: the sensor; its azimuth step is used as it is (see `spinning_at`).
+            sensor: the sensor; its azimuth step holds for the spin rate (see `spinning_at`).
             phase: rad.
             spin_rate: revolutions per second; sets the times.
             errors: of the rings' directions.
@@ -152,13 +152,13 @@ class Revolution(Value):
 
     @cached_property
     def directions(self) -> Floats:
-        """(N, 3) unit vectors."""
+        """Return the directions (N, 3) of the rays, unit vectors."""
         elevations, offsets = self._looks
         return unit_vectors(self.columns[:, None] + offsets, elevations[None, :]).reshape(-1, 3)
 
     @cached_property
     def _looks(self) -> tuple[Floats, Floats]:
-        """Elevation and azimuth offset (R,) of each ring, as they are."""
+        """Return the true elevation and azimuth offset (R,) of each ring."""
         offsets = np.zeros(self.sensor.n_rings) if self.sensor.azimuth_offsets is None else self.sensor.azimuth_offsets
         if self.errors is None:
             return self.sensor.elevations, offsets
@@ -169,20 +169,20 @@ class Revolution(Value):
         return self.sensor.as_reported
 
     def ring(self, index: Ints) -> Ints:
-        """(M,) ring of each of (M,) rays."""
+        """Return the ring (M,) of each of the rays (M,)."""
         return index % self.sensor.n_rings
 
     def elevation(self, index: Ints) -> Floats:
-        """(M,) elevation of each of (M,) rays, rad, as it is reported."""
+        """Return the reported elevation (M,) of each of the rays (M,), rad."""
         return np.asarray(self._reported.elevations[self.ring(index)])
 
     def azimuth(self, index: Ints) -> Floats:
-        """(M,) azimuth of each of (M,) rays, rad, as it is reported."""
+        """Return the reported azimuth (M,) of each of the rays (M,), rad."""
         azimuth = self.columns[index // self.sensor.n_rings]
         if self._reported.azimuth_offsets is not None:
             azimuth = azimuth + self._reported.azimuth_offsets[self.ring(index)]
         return azimuth
 
     def time(self, index: Ints) -> Floats:
-        """(M,) seconds at which each of (M,) rays is fired; 0 is when the column passes azimuth 0."""
+        """Return the times (M,), seconds, at which rays (M,) are fired; the column at azimuth 0 is fired at 0."""
         return self.columns[index // self.sensor.n_rings] / (2 * np.pi * self.spin_rate)

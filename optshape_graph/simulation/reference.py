@@ -1,8 +1,8 @@
 """The setting of the paper's simulations, with the quirks of its simulator.
 
-That simulator hangs a VLP-32C upside down, fires every ray from the origin through a point at 150 m whose z it
-raises by 1 cm per ring, with azimuths k 0.4 deg, and places the target by the crossing of its diagonals, not by its
-vertex mean. All of it is a sensor table and a pose: the rays and the target are the ordinary ones.
+That simulator hangs a VLP-32C upside down, and fires every ray from the origin through a point at 150 m whose z it
+raises by 1 cm per ring, at azimuths k 0.4 deg. It places the target by the crossing of its diagonals, not by its vertex
+mean. Here this is a sensor table and a pose; rays and target are as always.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _RISE_PER_RING = 0.01
 
 @cache
 def reference_sensor() -> SensorModel:
-    """Return the sensor of the paper's simulator: a VLP-32C upside down, its elevations bent, free of noise."""
+    """Return the sensor of the paper's simulator: a VLP-32C upside down, with bent elevations and without noise."""
     upright = load_sensor("vlp32c").elevations
     z = _RAY_POINT * np.sin(upright) + _RISE_PER_RING * np.arange(len(upright))
     elevations = -np.arctan2(z, _RAY_POINT * np.cos(upright))[::-1]
@@ -44,7 +44,7 @@ def reference_sensor() -> SensorModel:
 
 
 def reference_pose(target: Target, distance: float, rpy: ArrayLike) -> Floats:
-    """(4, 4) T_lidar_target with the crossing of a quadrilateral's diagonals at (distance, 0, 0).
+    """Return T_lidar_target (4, 4) with the crossing of a quadrilateral's diagonals at (distance, 0, 0).
 
     Args:
         target: with four vertices.

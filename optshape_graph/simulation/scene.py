@@ -24,7 +24,7 @@ from optshape_graph.target import Target
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene(Value):
-    """Targets, and everything else that returns light.
+    """Targets, and all other surfaces that return light.
 
     Attributes:
         targets: the targets.
@@ -36,7 +36,7 @@ class Scene(Value):
 
     @property
     def surfaces(self) -> tuple[Surface, ...]:
-        """Targets first, then the background."""
+        """All surfaces: the targets first, then the background."""
         return (*self.targets, *self.background)
 
 
@@ -46,8 +46,8 @@ class SimulatedScan(Value):
 
     Attributes:
         scan: the returns.
-        surface: (N,) index in `scene.surfaces` of what each return is of.
-        scene: what was scanned.
+        surface: (N,) index in `scene.surfaces` of the surface of each return.
+        scene: the scene.
         T_world_lidar: (4, 4) the sensor's pose at the scan's stamp (time 0).
     """
 
@@ -91,15 +91,15 @@ def simulate(
     """Return one revolution.
 
     Args:
-        scene: what there is to hit; the nearest surface returns.
+        scene: the surfaces; the nearest one on a ray returns.
         sensor: the sensor; its azimuth step and range limits apply.
-        T_world_lidar: (4, 4) pose of a sensor at rest (None: the world's origin), or the motion of a moving one: each
-            ray is fired from the pose at its own time, and its point is in the LiDAR frame of that time.
-        noise: how measurements err; none by default.
+        T_world_lidar: (4, 4) pose of a sensor at rest (None: the world's origin), or the motion of a moving one, for
+            which each ray is fired from the pose at its own time, and its point is in the LiDAR frame of that time.
+        noise: errors of measurements; none by default.
         rng: generator or seed.
         range_bias: (R,) range bias of each ring beside the one that the sensor's file has, metres; None: drawn from
             the noise.
-        angle_errors: how far rings look elsewhere than the sensor's file says; None: drawn from the noise.
+        angle_errors: errors of the rings' directions, relative to the sensor's file; None: drawn from the noise.
         spin_rate: revolutions per second; sets the times.
         name: the scan's name.
 
@@ -159,11 +159,11 @@ def simulate_target(
         target: the target.
         sensor: the sensor, at rest.
         T_lidar_target: (4, 4) the target's pose.
-        noise: how measurements err; none by default.
+        noise: errors of measurements; none by default.
         rng: generator or seed.
         range_bias: (R,) range bias of each ring beside the one that the sensor's file has, metres; None: drawn from
             the noise.
-        angle_errors: how far rings look elsewhere than the sensor's file says; None: drawn from the noise.
+        angle_errors: errors of the rings' directions, relative to the sensor's file; None: drawn from the noise.
         name: the scan's name.
     """
     scene = Scene((Patch(target, as_transform(T_lidar_target, "T_lidar_target")),))
@@ -172,15 +172,15 @@ def simulate_target(
 
 
 def random_rings(scan: Scan, share: float, rng: np.random.Generator | int = 0) -> Ints:
-    """Return some of the rings of a scan (K,), drawn at random: those to leave out for partial illumination.
+    """Return randomly drawn rings (K,) of a scan, to be left out for partial illumination.
 
     Args:
         scan: a scan with rings.
-        share: how many, as a share of the rings that have returns; rounded to whole rings.
+        share: of the rings with returns; rounded to whole rings.
         rng: generator or seed.
 
     Raises:
-        InputError: the scan has no rings, or a share out of [0, 1].
+        InputError: the scan has no rings, or a share outside [0, 1].
     """
     if not 0 <= share <= 1:
         raise InputError(f"share of rings {share} is not within [0, 1]")
@@ -204,7 +204,7 @@ def _rings(scan: Scan) -> Ints:
 
 
 def _facing(rays: Revolution, scene: Scene, T_world_lidar: Floats, margin: EdgeMargin) -> Revolution:
-    """The columns of a sensor at rest in which there is something to hit."""
+    """Return the columns of a sensor at rest in which a ray may meet a surface."""
     bounds = [surface.bounds for surface in scene.surfaces]
     spheres = []
     for sphere in bounds:
@@ -217,7 +217,7 @@ def _facing(rays: Revolution, scene: Scene, T_world_lidar: Floats, margin: EdgeM
 
 
 def _place(rays: Revolution, T_world_lidar: Floats | Motion) -> tuple[Floats, Floats]:
-    """Origins (1 or N, 3) and directions (N, 3) of rays in the world."""
+    """Return origins (1 or N, 3) and directions (N, 3) of rays in the world."""
     if isinstance(T_world_lidar, np.ndarray):
         return T_world_lidar[None, :3, 3], (T_world_lidar[:3, :3] @ rays.directions.T).T
     R, t = T_world_lidar.at(rays.time(np.arange(len(rays))))
@@ -234,7 +234,7 @@ def _pose_at_stamp(T_world_lidar: Floats | Motion) -> Floats:
 
 
 def _cast(scene: Scene, origins: Floats, directions: Floats, margin: EdgeMargin) -> tuple[Floats, Ints, Floats]:
-    """(N,) range to the nearest surface, (N,) which (-1: none), (N,) cosine of incidence."""
+    """Return the range (N,) to the nearest surface, its index (N,) (-1: none), and the cosine of incidence (N,)."""
     nearest = np.full(len(directions), np.inf)
     surface = np.full(len(directions), -1, dtype=np.int64)
     cosine = np.zeros(len(directions))

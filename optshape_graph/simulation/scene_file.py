@@ -12,9 +12,10 @@
       - {file: chair.ply, position: [5, 2, -1.5], rpy_deg: [0, 0, 90], scale: 0.001}
     lidar: {position: [0, 0, 0], rpy_deg: [0, 0, 0], velocity: [1, 0, 0], angular_velocity_deg: [0, 0, 20]}
 
-Positions are in the world, metres, of the vertex mean of a target and the centre of a wall or box; rpy_deg are roll,
-pitch and yaw with R = Rx Ry Rz; a wall lies in its plane x = 0 with its size along y and z, as targets do. Velocities
-are in the LiDAR's own frame, m/s and deg/s; without them it stands still. Everything but `schema` may be left out.
+Positions are in the world, metres: of the vertex mean of a target, and of the centre of a wall or box. `rpy_deg` are
+roll, pitch and yaw with R = Rx Ry Rz. Like a target, a wall lies in its plane x = 0, with its size along y and z.
+Velocities are in the LiDAR's own frame, m/s and deg/s; without them it stands still. All keys but `schema` are
+optional.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from optshape_graph.simulation.scene import simulate_target
 from optshape_graph.target import Target
 
 MARKER_OFFSET = 0.015
-"""How far a marker's centre is from its vertex, metres: what recordings show is 1 to 2 cm."""
+"""Distance of a marker's centre from its vertex, metres; recordings show 1 to 2 cm."""
 
 MARKER_NOISE = 0.3e-3
 """Standard deviation of a motion-capture coordinate, metres."""
@@ -40,15 +40,15 @@ def synthetic_session(
     """Write a session folder: scans of a target's returns, markers.csv, session.yaml, and truth.json.
 
     At each distance the target is placed twice, roughly face-on and roughly at the paper's extreme angle. Errors of
-    the rings are the same in all scans. The markers are rigid to the target, each about 1.5 cm from its
-    vertex in a direction of its own, and seen in a motion-capture frame that is unknown to the LiDAR.
+    the rings are the same in all scans. The markers are fixed to the target, each about 1.5 cm from its vertex in a
+    different direction, and measured in a motion-capture frame that is unknown to the LiDAR.
 
     Args:
         folder: made if it is not there.
         target: the target.
         sensor: the sensor.
         distances: metres.
-        noise: how measurements err; None: what the sensor's model says.
+        noise: errors of measurements; None: those of the sensor's model.
         rng: generator or seed.
         name: the session's name.
 
@@ -56,7 +56,7 @@ def synthetic_session(
         The path of session.yaml.
 
     Raises:
-        EstimationError: at some distance nothing of the target is hit.
+        EstimationError: at some distance no ray meets the target.
         InputError: the folder cannot be written.
     """
     folder, rng = Path(folder), np.random.default_rng(rng)

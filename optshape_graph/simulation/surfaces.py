@@ -1,4 +1,4 @@
-"""What rays can meet, each surface with its own `cast`: planar polygons, floors and boxes."""
+"""Surfaces that rays can meet, each with its own `cast`: planar polygons, floors and boxes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from optshape_graph.simulation.rays import NO_MARGIN, EdgeMargin, Sphere, at
 from optshape_graph.target import Target
 
 Hits = tuple[Ints, Floats, Floats]
-"""Of the rays that meet a surface: (M,) index of the ray, (M,) range in metres, (M,) cosine of incidence."""
+"""Rays that meet a surface: index of the ray (M,), range in metres (M,), cosine of incidence (M,)."""
 
 
 class Surface(Protocol):
@@ -22,7 +22,7 @@ class Surface(Protocol):
 
     @property
     def reflectivity(self) -> float:
-        """Share of the light that comes back at normal incidence, 0 to 1."""
+        """Share of the light that is reflected at normal incidence, 0 to 1."""
 
     @property
     def bounds(self) -> Sphere | None:
@@ -34,7 +34,7 @@ class Surface(Protocol):
         Args:
             origins: (N, 3) metres, world frame, or (1, 3) if all rays have the same.
             directions: (N, 3) unit vectors, world frame.
-            margin: by how much a beam's axis may pass outside a polygon's edge and still return. Other surfaces
+            margin: how far outside a polygon's edge a beam's axis may pass while the beam still returns. Other surfaces
                 ignore it.
         """
 
@@ -65,8 +65,8 @@ class Patch(Value):
         """Intersect with the plane inside the polygon; see `Surface.cast`.
 
         A beam's angle beyond edge k is that between its axis and the plane through its origin and the edge; blooming
-        takes off what the ray's azimuth adds to it. A beam whose axis is outside and that returns nevertheless is given
-        the range of the polygon's plane on its axis.
+        subtracts the part that the ray's azimuth adds. If a beam returns though its axis is outside, its range is that
+        of the polygon's plane on its axis.
         """
         R, t = self.T_world_patch[:3, :3], self.T_world_patch[:3, 3]
         near = towards_sphere(origins, directions, self.bounds, margin)
@@ -139,14 +139,14 @@ class Box(Value):
         return self.T_world_box[:3, 3], float(np.linalg.norm(self.size) / 2)
 
     def cast(self, origins: Floats, directions: Floats, margin: EdgeMargin) -> Hits:
-        """See `Surface.cast`: in at the last entry of the three slabs, if that is before the first exit."""
+        """See `Surface.cast`: a ray enters at the last entry of the three slabs, if that is before the first exit."""
         R, t, half = self.T_world_box[:3, :3], self.T_world_box[:3, 3], self.size / 2
         near = towards_sphere(origins, directions, self.bounds)
         o, d = (at(origins, near) - t) @ R, directions[near] @ R
         with np.errstate(divide="ignore", invalid="ignore"):
             to_centre, half_length = -o / d, half / np.abs(d)
             entry, exit_ = to_centre - half_length, to_centre + half_length
-        # A ray along a slab (d = 0) is in it all the way, or never.
+        # A ray along a slab (d = 0) is always in it, or never.
         never = np.where(np.abs(o) <= half, -np.inf, np.inf)
         entry, exit_ = np.where(d == 0, never, entry), np.where(d == 0, -never, exit_)
         first, last = entry.max(axis=1), exit_.min(axis=1)
@@ -157,13 +157,13 @@ class Box(Value):
 
 
 def towards_sphere(origins: Floats, directions: Floats, sphere: Sphere, margin: EdgeMargin = NO_MARGIN) -> Ints:
-    """Find the rays that pass a sphere, in front of their origin, or pass what is in it by less than a margin.
+    """Return the rays that pass through a sphere in front of their origin, or miss its content by less than a margin.
 
     Args:
         origins: (N, 3) metres, world frame, or (1, 3) if all rays have the same.
         directions: (N, 3) unit vectors, world frame.
         sphere: centre and radius, metres, world frame.
-        margin: by how much a beam's axis may pass outside.
+        margin: how far outside a beam's axis may pass.
 
     Returns:
         (K,) their indices.

@@ -1,4 +1,4 @@
-"""Simulated scans as files, with their truth beside them."""
+"""Files of simulated scans, with their truth beside them."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from optshape_graph.simulation.scene import SimulatedScan
 def write_simulation(
     path: str | Path, result: SimulatedScan, noise: NoiseModel, seed: int, rings_left_out: ArrayLike = ()
 ) -> Path:
-    """Write a cloud as PCD, and what is true of it as JSON under the same name.
+    """Write a cloud as PCD, and its truth as JSON under the same name.
 
     The truth (`optshape/simulation/1`) has one entry of `targets` for each target: its `T_lidar_target` at the scan's
-    stamp, its `vertices` in the LiDAR frame and its number of returns. Of a single target, pose and vertices stand at
-    the top as well.
+    stamp, its `vertices` in the LiDAR frame and its number of returns. If there is a single target, its pose and
+    vertices are also at the top.
 
     Args:
         path: ends in .pcd.
         result: the scan and its truth.
-        noise: what was asked for.
+        noise: the noise asked for.
         seed: of the noise.
-        rings_left_out: (K,) numbers of the rings that were made to return nothing.
+        rings_left_out: (K,) numbers of the rings whose returns were left out.
 
     Returns:
         The path of the truth.

@@ -1,4 +1,4 @@
-"""Sensors made of a few numbers."""
+"""Sensors with evenly spaced rings, and at other spin rates."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def uniform_sensor(n_rings: int, lowest: float, highest: float, azimuth_step: fl
 
 
 def spinning_at(sensor: SensorModel, rate: float, rated: float = 10.0) -> SensorModel:
-    """Return the sensor at another spin rate: it fires as often, so the azimuth step grows with the rate.
+    """Return the sensor at another spin rate. It fires as often as before, so the azimuth step grows with the rate.
 
     Args:
         sensor: with the azimuth step that it has at `rated`.

@@ -1,1 +1,1 @@
-"""Pictures: one function for each, which returns its matplotlib figure. No other layer imports plotting libraries."""
+"""Pictures: one function for each, which returns a matplotlib figure. No other layer imports plotting libraries."""

@@ -1,6 +1,4 @@
-"""A LiDAR-camera calibration: LiDAR returns on the images, coloured by range, with the target's outline as each sensor
-sees it; and the errors of every view.
-"""
+"""Pictures of a LiDAR-camera calibration: images with LiDAR returns and outlines, and the errors of every view."""
 
 from __future__ import annotations
 
@@ -28,19 +26,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LIDAR_COLOUR, CAMERA_COLOUR, CORNER_COLOUR = (60, 60, 255), (255, 200, 0), (80, 220, 80)
-"""Blue, green, red: the outline predicted from the LiDAR, the camera's own, and the corners found in the image."""
+"""Colours (blue, green, red) of the outline predicted from the LiDAR, of the camera's own, and of corners in the
+image."""
 
 AXES = (("x", (80, 80, 255)), ("y", (80, 200, 80)), ("z", (255, 140, 60)))
-"""Of the target's frame, as the camera has it, and their colours."""
+"""Axes of the target's frame as the camera estimates it, and their colours (blue, green, red)."""
 
 AXIS = 0.5
 """Length of these axes, in circumradii of the target."""
 
 RANGES = (1.0, 30.0)
-"""Ranges, metres, that the colours run over, yellow to violet, in equal ratios."""
+"""Nearest and farthest range, metres, of the colours from yellow to violet, whose steps are equal ratios of range."""
 
 TICKS = (1, 2, 5, 10, 20, 30)
-"""Ranges, metres, that the scale names."""
+"""Ranges, metres, with a number on the scale."""
 
 POINTS_PER_EDGE = 50
 
@@ -84,8 +83,10 @@ def plot_view_errors(calibration: CameraCalibration) -> Figure:
 
 
 def draw_overlay(calibration: CameraCalibration, number: int) -> np.ndarray:
-    """Draw one view: the returns that the lens can see on the image, the outline by the LiDAR (red) and by the camera
-    (light blue), the corners found (green crosses), the axes of the target by the camera, and the scale of the ranges.
+    """Draw one view: the image with returns, outlines, corners, axes and the scale of ranges.
+
+    Returns are those that the lens can see. The outline by the LiDAR is red, that by the camera light blue; the corners
+    found are green crosses; the axes are those of the target by the camera.
 
     Args:
         calibration: the result.
@@ -127,7 +128,7 @@ def save_overlays(
     Args:
         calibration: the result.
         folder: where to write; it is made if it does not exist.
-        progress: called with how many images are done, and how many there are.
+        progress: called with the number of finished images, and of all.
     """
     cv2 = opencv()
     folder.mkdir(parents=True, exist_ok=True)
@@ -181,7 +182,7 @@ def _corners(picture: np.ndarray, pixels: Floats) -> None:
 
 
 def _by_range(share: Floats) -> np.ndarray:
-    """(N, 3) colours, blue, green, red, of shares of the way from the nearest range to the farthest."""
+    """Return colours (N, 3), blue, green, red, for positions (N,) from 0, the nearest range, to 1, the farthest."""
     cv2 = opencv()
     levels = (255 * (1 - np.clip(share, 0, 1))).astype(np.uint8)
     return np.asarray(cv2.applyColorMap(levels[:, None], cv2.COLORMAP_PLASMA)[:, 0])

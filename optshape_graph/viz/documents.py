@@ -1,4 +1,4 @@
-"""Files to what there is to see in them: scans, and the results that the commands write as JSON."""
+"""Scans and JSON results as points and lines in space, which the viewers draw."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ Items = list[Points | Lines]
 
 
 def spatial(path: str | Path, targets: Mapping[str, Target] | None = None) -> Spatial:
-    """Return what there is to see in a file.
+    """Return the points and lines in a file.
 
     Args:
-        path: a scan, or a result: what `optshape estimate`, `detect`, `map`, `calibrate` or `simulate` wrote as JSON.
-        targets: templates by name, for results that name a target without its vertices; built-in ones are known.
+        path: a scan, or a JSON result of `optshape estimate`, `detect`, `map`, `calibrate` or `simulate`.
+        targets: templates by name, for results that name a target without its vertices; built-in targets are known.
 
     Raises:
-        InputError: the file cannot be read, is of another form, or holds nothing that is somewhere.
+        InputError: the file cannot be read, is of another form, or holds nothing with a place.
     """
     path = Path(path)
     if path.suffix.lower() != ".json":
@@ -203,16 +203,16 @@ FORMS: dict[str, Callable[[Node, Mapping[str, Target]], Spatial]] = {
     "rig": _rig,
     "simulation": _simulation,
 }
-"""What can be shown, by the kind in the schema."""
+"""Functions that return the points and lines of a result, by the kind in its schema."""
 
 
 def _start() -> tuple[Items, list[str], list[str]]:
-    """Items, steps and notes to add to."""
+    """Return empty lists of items, steps and notes."""
     return [axes("lidar", np.eye(4), 0.3, "LiDAR")], [], []
 
 
 def _at(node: Node, key: str) -> Node:
-    """The value under a key that has to be there; others may be there, too."""
+    """Return the value under a required key; other keys are allowed."""
     entries = node.entries()
     if key not in entries:
         node.fail(f"the key '{key}' is missing; found only: {', '.join(entries) or 'nothing'}")
@@ -220,7 +220,7 @@ def _at(node: Node, key: str) -> Node:
 
 
 def _add_scan(items: Items, notes: list[str], document: Path, name: str, step: int | None) -> Scan | None:
-    """Add the scan that a result is of, found by its path or beside the result."""
+    """Add the scan of a result, found by its path or beside the result."""
     for path in (Path(name), document.parent / name, document.parent / Path(name).name):
         if is_file(path):
             try:

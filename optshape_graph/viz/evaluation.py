@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STYLES = ("-", "--", ":", "-.")
-"""Of orientations, in turn."""
+"""Line styles of the orientations, in turn."""
 
 PANELS = (("rmse_m", "RMSE of the vertices (m)"), ("e_t_m", "translation (m)"), ("e_r_deg", "rotation (deg)"))
 
@@ -20,10 +20,10 @@ PANELS = (("rmse_m", "RMSE of the vertices (m)"), ("e_t_m", "translation (m)"), 
 def plot_sweep(cells: Sequence[Row]) -> Figure:
     """Plot mean errors over distance, with bars up to the 95th percentile: a row per error, a column per method.
 
-    Every orientation has its line style; grey is the Cramer-Rao bound of the first noise level, where rows have one.
+    Every orientation has its line style. The Cramer-Rao bound of the first noise level is grey, if rows have one.
 
     Args:
-        cells: of `summarise`, by method, noise, orientation and range.
+        cells: as `summarise` returns them, by method, noise, orientation and range.
 
     Raises:
         MissingExtraError: matplotlib is absent.

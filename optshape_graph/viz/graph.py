@@ -1,4 +1,4 @@
-"""The structure of a GTSAM factor graph: any graph's, whoever made it."""
+"""The structure of any GTSAM factor graph."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_NAMES = 25
-"""Variables of one letter whose names are written."""
+"""Names are written if no more variables have the same letter."""
 
 KINDS = ("Pose3", "Point3", "Pose2", "Point2")
-"""Variables that have a place, by the name of GTSAM's accessor."""
+"""Types of variables that have a place, as GTSAM's accessors call them."""
 
 
 def plot_graph(
@@ -27,13 +27,13 @@ def plot_graph(
 ) -> Figure:
     """Draw a factor graph from above: variables where they are, a line for every factor between two of them.
 
-    A factor on one variable is a ring about it; one on more than two, a star from their middle. Variables are coloured
-    by the letter of their symbol. Those that have no place (a bias, a scale) are counted below.
+    A factor on one variable is a ring around it; a factor on more than two is a star from their middle. Variables are
+    coloured by the letter of their symbol. Variables without a place (a bias, a scale) are counted below.
 
     Args:
         graph: the factors.
         values: of the variables, in one world frame.
-        names: of variables, by key; others go by their symbol.
+        names: names of variables by key; without one a variable goes by its symbol.
 
     Raises:
         MissingExtraError: matplotlib is absent.
@@ -64,7 +64,7 @@ def plot_graph(
 
 
 def _lines(axes: Axes, graph: gtsam.NonlinearFactorGraph, places: Mapping[int, Floats]) -> dict[str, int]:
-    """Draw the factors; count them by their number of variables."""
+    """Draw the factors; return their count by the number of their variables."""
     from matplotlib.collections import LineCollection
 
     alike: list[tuple[Floats, Floats]] = []
@@ -97,7 +97,7 @@ def _lines(axes: Axes, graph: gtsam.NonlinearFactorGraph, places: Mapping[int, F
 
 
 def _place(values: gtsam.Values, key: int) -> Floats | None:
-    """(2,) x and y of a variable; None: it has none."""
+    """Return x and y (2,) of a variable; None: it has no place."""
     for kind in KINDS:
         try:
             value = getattr(values, f"at{kind}")(key)

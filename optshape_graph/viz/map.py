@@ -1,4 +1,4 @@
-"""A map from above: landmarks as they stand, how well their places are known, trajectories; the graph's structure."""
+"""Pictures of a map from above: landmarks with their uncertainty, trajectories, and the structure of its graph."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ SIGMAS = 3.0
 """Standard deviations that ellipses enclose in each direction."""
 
 ARROWS = 24
-"""Headings that are drawn along a trajectory, about."""
+"""Approximate number of headings that are drawn along a trajectory."""
 
 MOST_NAMES = 40
-"""Landmarks whose names are written."""
+"""Names are written if there are no more landmarks."""
 
 
 def plot_map(result: Map, magnify: float | None = None) -> Figure:
     """Draw landmarks, the way they face and their ellipses of three standard deviations, and trajectories, from above.
 
-    A trajectory has arrows along the x axis of its LiDAR; a landmark, one to the side that the LiDAR sees, between the
-    two that its heading may have within three standard deviations.
+    A trajectory has arrows along the x axis of its LiDAR. A landmark has an arrow to the side that the LiDAR sees,
+    between the two limits of its heading at three standard deviations.
 
     Args:
         result: the map.
-        magnify: how many times the ellipses are drawn too large; None: as many as makes them visible.
+        magnify: factor by which the ellipses are enlarged; None: one that makes them visible.
 
     Raises:
         MissingExtraError: matplotlib is absent.
@@ -126,12 +126,12 @@ def _axes() -> tuple[Figure, Axes]:
 
 
 def _unit(xy: Floats) -> Floats:
-    """(..., 2) directions of length 1."""
+    """Return directions (..., 2) of length 1."""
     return np.asarray(xy / np.maximum(np.linalg.norm(xy, axis=-1, keepdims=True), 1e-9))
 
 
 def _facing(axes: Axes, landmark: Landmark) -> Floats:
-    """Draw the way a landmark faces, and the two that it may face within `SIGMAS`; return the line's end, (2,)."""
+    """Draw the direction that a landmark faces, and its limits at `SIGMAS`; return the end (2,) of the line."""
     place, facing = landmark.T_world_target[:2, 3], -_unit(landmark.T_world_target[:2, 0])
     R = landmark.T_world_target[:3, :3]
     sd = float(np.sqrt(max((R @ landmark.covariance[:3, :3] @ R.T)[2, 2], 0.0)))
@@ -144,6 +144,6 @@ def _facing(axes: Axes, landmark: Landmark) -> Floats:
 
 
 def _from_above(landmark: Landmark) -> np.ndarray:
-    """(2, 2) covariance of the place, seen along the world's -z."""
+    """Return the covariance (2, 2) of the place, seen along the world's -z."""
     R = landmark.T_world_target[:3, :3]
     return np.asarray((R @ landmark.covariance[3:, 3:] @ R.T)[:2, :2])

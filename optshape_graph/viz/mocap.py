@@ -1,4 +1,4 @@
-"""Estimates beside motion capture: errors of every scan, where the target stood, where the markers are."""
+"""Pictures of estimates against motion capture: errors of scans, placements of the target, the marker layout."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def plot_errors(
     """Plot the errors of every scan, and their means, for one or several ways to estimate or to compare.
 
     Args:
-        series: errors of the same scans in the same order, by what they are of; None where there is none.
+        series: errors of the same scans in the same order, by the name of the series; None: the scan has none.
         title: what one sees.
 
     Raises:

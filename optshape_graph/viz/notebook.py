@@ -1,4 +1,4 @@
-"""Pictures of results for notebooks: one for each class, drawn of the result alone."""
+"""Pictures of results for notebooks: one for each class, drawn from the result alone."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI = 80
-"""Of pictures in a notebook."""
+"""Dots per inch of pictures in a notebook."""
 
 CELL = ("method", "noise", "orientation", "range_m")
 """Columns of a sweep over distances."""
 
 
 def picture(result: object) -> str:
-    """Return the picture of a result as an HTML image; empty where it has none, or matplotlib is absent.
+    """Return the picture of a result as an HTML image; empty if it has none, or matplotlib is absent.
 
     Args:
         result: an estimate, detections, a calibration, a map, or the rows of a sweep.

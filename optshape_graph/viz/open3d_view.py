@@ -1,4 +1,4 @@
-"""What there is to see, in a window of Open3D: for those who have a screen."""
+"""A window of Open3D that shows points and lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def show(seen: Spatial, step: int = 0, name: str = "optshape") -> None:
 
     Args:
         seen: what to show.
-        step: the scan to show, of a result of several.
+        step: the scan to show, if there are several.
         name: the window's title.
 
     Raises:
@@ -23,7 +23,7 @@ def show(seen: Spatial, step: int = 0, name: str = "optshape") -> None:
         InputError: there is no screen, or the window cannot be opened.
     """
     o3d = _open3d()
-    require_screen("Open3D")  # which would else draw where nobody sees it, and wait for ever
+    require_screen("Open3D")  # without one Open3D would draw where nobody sees it, and wait for ever
     window = o3d.visualization.Visualizer()
     if not window.create_window(window_name=name, width=1280, height=960):
         raise InputError("Open3D could not open a window; write a file for Rerun instead: --save FILE.rrd")

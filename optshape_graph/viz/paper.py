@@ -1,4 +1,4 @@
-"""The figures of Huang, Clark and Grizzle, "Optimal Target Shape for LiDAR Pose Estimation", made again."""
+"""The figures of Huang, Clark and Grizzle, "Optimal Target Shape for LiDAR Pose Estimation", drawn again."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PARTIAL = (4.0, 10.0, 22.0, 30.0)
 """Distances of the paper's panels, metres."""
 
 LOST = 0.3
-"""Share of the rings that a partly lit target lacks here; the paper does not say its."""
+"""Share of the rings that a partly lit target lacks here; the paper does not state it."""
 
 
 def figures(target: Target, seed: int = 0) -> dict[str, Figure]:
@@ -89,7 +89,7 @@ def panels(target: Target, distances: Sequence[float], level: int, lost: float, 
 
 
 def _fitted(panel, target, scan, truth) -> str:  # type: ignore[no-untyped-def]  # as in `panels`
-    """Draw the estimate, and say how it ended."""
+    """Draw the estimate, and return its status and errors as text."""
     try:
         estimate = estimate_pose(scan, target)
     except EstimationError:

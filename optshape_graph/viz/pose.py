@@ -1,4 +1,4 @@
-"""One target in one scan: the fit from the front and the side, edge labels, residuals, vertices, the runner-up.
+"""Pictures of an estimate: the fit from the front and the side, edge labels, residuals, vertices, the runner-up.
 
 Fronts are drawn as the LiDAR sees the target, so the target's y runs to the left.
 """
@@ -41,21 +41,21 @@ SIGMAS = 3.0
 """Standard deviations that ellipses enclose."""
 
 INSETS = "A ring's last return is inside the true edge, by up to one azimuth step along the ring."
-"""Said below pictures of ring ends."""
+"""Caption of pictures of ring ends."""
 
 FRONT_TO_SIDE = 2.2
-"""Width of the front to that of the side."""
+"""Width of the front view over that of the side view."""
 
 
 def plot_estimate(scan: Scan, estimate: PoseEstimate) -> dict[str, Figure]:
-    """Draw all there is to see of an estimate: fit, edges, residuals, vertices, and where ambiguous the runner-up.
+    """Draw all pictures of an estimate: fit, edges, residuals, vertices, and the runner-up if it is ambiguous.
 
     Args:
         scan: the returns that the estimate was made of.
-        estimate: of the pose; of a failed one the vertices are not drawn, and of a cloud without rings no edges.
+        estimate: of the pose. Vertices are left out if it failed, edges if the cloud has no rings.
 
     Returns:
-        The figures, by what they are of.
+        The figures by name.
 
     Raises:
         MissingExtraError: matplotlib is absent.
@@ -74,7 +74,7 @@ def plot_fit(scan: Scan, estimate: PoseEstimate) -> Figure:
     """Draw the returns and the fitted template, from the front and from the side (as the paper's Fig. 7).
 
     Args:
-        scan: the returns that the estimate was made of, or the full scan: what is near the target is drawn.
+        scan: the returns that the estimate was made of, or the full scan, of which the part near the target is drawn.
         estimate: the target's pose in it.
 
     Raises:
@@ -102,7 +102,7 @@ def plot_fit(scan: Scan, estimate: PoseEstimate) -> Figure:
 
 
 def plot_edge_labels(estimate: PoseEstimate, name: str = "") -> Figure:
-    """Draw which edge each edge point was taken for, and where along its ring that edge may lie.
+    """Draw the edge that each edge point was assigned to, and where along its ring that edge may lie.
 
     Args:
         estimate: of the pose.
@@ -137,7 +137,7 @@ def plot_edge_labels(estimate: PoseEstimate, name: str = "") -> Figure:
 def plot_residuals(scan: Scan, estimate: PoseEstimate) -> Figure:
     """Plot how far the edge points are from their edges, and how far each ring is from the plane.
 
-    What all edge points have in common (dashed) depends on beam and surface; the estimate allows for it.
+    The offset that all edge points share (dashed) depends on beam and surface; the estimate allows for it.
 
     Args:
         scan: the returns that the estimate was made of.
@@ -197,7 +197,7 @@ def plot_vertices(estimate: PoseEstimate, name: str = "") -> Figure:
 
 
 def plot_runner_up(scan: Scan, estimate: PoseEstimate) -> Figure:
-    """Draw the best pose and the best different one on the same returns.
+    """Draw the best pose and the best different pose on the same returns.
 
     Args:
         scan: the returns that the estimate was made of.
@@ -235,7 +235,7 @@ def plot_runner_up(scan: Scan, estimate: PoseEstimate) -> Figure:
 
 
 def _edge_residuals(axes: Axes, estimate: PoseEstimate) -> None:
-    """Distances of the edge points from their edges, and what they have in common."""
+    """Plot the distances of the edge points from their edges, and the offset that they share."""
     rings, labels, n = estimate.edge_points.ring, estimate.labels, len(estimate.target)
     residual, sigma = 1e3 * estimate.edge_residuals, 1e3 * estimate.edge_sigma
     for k in range(n):
@@ -257,7 +257,7 @@ def _edge_residuals(axes: Axes, estimate: PoseEstimate) -> None:
 
 
 def _plane_residuals(axes: Axes, scan: Scan, estimate: PoseEstimate) -> None:
-    """Distances of the returns from the plane, over rings, or over elevations where there are none."""
+    """Plot the distances of the returns from the plane, over rings or, without rings, over elevations."""
     from matplotlib.ticker import MaxNLocator
 
     depth = 1e3 * _in_target(estimate, scan.points)[:, 0]
@@ -284,14 +284,14 @@ def _in_target(estimate: PoseEstimate, points: Floats) -> Floats:
 
 
 def _near(scan: Scan, estimate: PoseEstimate) -> Floats:
-    """The returns at the target, in its frame."""
+    """Return the returns near the target, in its frame."""
     points = _in_target(estimate, scan.points)
     radius = 1.5 * estimate.target.circumradius
     return np.asarray(points[np.linalg.norm(points, axis=1) < radius])
 
 
 def _front_and_side(target: Target) -> tuple[Figure, Axes, Axes]:
-    """A figure with the front and, as high, the side."""
+    """Return a figure with axes for the front and, of the same height, for the side."""
     figure = new_figure(10.0, 6.6)
     front, side = figure.subplots(1, 2, width_ratios=(FRONT_TO_SIDE, 1.0), sharey=True)
     _front_axes(front, target)
@@ -301,7 +301,7 @@ def _front_and_side(target: Target) -> tuple[Figure, Axes, Axes]:
 
 
 def _front_axes(axes: Axes, target: Target, within: Floats | None = None) -> None:
-    """The target's plane as the LiDAR sees it: y to the left, z up, wide enough for what is drawn."""
+    """Set axes to the target's plane as the LiDAR sees it: y to the left, z up, wide enough for all that is drawn."""
     plain(axes, equal=True)
     drawn = target.polygon if within is None else within
     (y_min, z_min), (y_max, z_max) = drawn.min(axis=0), drawn.max(axis=0)

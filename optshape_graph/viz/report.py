@@ -1,6 +1,7 @@
-"""A result as one HTML file that needs no network and looks right on paper: verdict, numbers, pictures, what to do.
+"""A report of a result: one HTML file with verdict, numbers, pictures, and what to do next.
 
-Everything is made of the result's plain form (`to_dict`, or its JSON file) and of pictures that were drawn beside it.
+It needs no network, and prints well. It is made of the result's plain form (`to_dict`, or its JSON file) and of
+pictures.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from optshape_graph.viz.report_tables import Table, tables_of
 from optshape_graph.viz.style import BLUE, GREY, INK, PALE, VERMILLION
 
 MOST_ROWS = 200
-"""Of a table; further ones are counted."""
+"""Rows of a table; further rows are counted."""
 
 MOST_PICTURES = 60
-"""Of a report: a page of the size of a photograph each."""
+"""Pictures of a report; further ones stay beside the result."""
 
 KINDS = {".svg": "svg+xml", ".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
-"""Pictures that a browser shows, by ending; others stay beside the report."""
+"""Media types of pictures that a browser shows, by ending; others stay beside the report."""
 
 CAPTIONS = {
     "fit": "returns, ends of rings, and the fitted template. Ends lie inside the edge, by up to one azimuth step.",
@@ -42,7 +43,7 @@ CAPTIONS = {
     "map": "landmarks, the way each faces, and ellipses of three standard deviations, seen from above.",
     "scan": "the full scan, as the LiDAR sees it and from above, with the targets' outlines.",
 }
-"""What pictures show, by how their names end."""
+"""Captions of pictures, by the end of their names."""
 
 LEVELS = {"Good": "#009e73", "Usable with care": "#b07800", "Not usable": "#c03020"}
 
@@ -72,11 +73,11 @@ def write_report(
     Args:
         path: of the HTML file.
         document: the result's plain form.
-        pictures: PNG or SVG files that were drawn of it.
-        command: that makes the result again.
+        pictures: PNG or SVG files that show it.
+        command: the command that makes the result again.
 
     Raises:
-        InputError: a result of no known kind, or the file cannot be written.
+        InputError: a result of an unknown kind, or the file cannot be written.
     """
     verdict = verdict_of(document)
     write_atomically(Path(path), html_of(document, verdict, pictures, command).encode())
@@ -118,7 +119,7 @@ def html_of(document: Mapping[str, Any], verdict: Verdict, pictures: Sequence[st
 
 
 def caption_of(stem: str) -> str:
-    """Return what a picture shows, by the end of its name: of which scan, and how it is to be read."""
+    """Return the caption of a picture, by the end of its name: the scan, and how to read the picture."""
     for kind, text in CAPTIONS.items():
         if stem == kind or stem.endswith(f"_{kind}"):
             of = stem[: -len(kind)].rstrip("_")
@@ -127,7 +128,7 @@ def caption_of(stem: str) -> str:
 
 
 def plan_view(places: Floats) -> str:
-    """Draw (N, 3) places in the LiDAR's frame from above, as SVG: x to the right, y up, circles of range."""
+    """Return places (N, 3) in the LiDAR's frame, metres, from above, as SVG: x to the right, y up, circles of range."""
     reach = float(np.hypot(places[:, 0], places[:, 1]).max()) * 1.15 or 1.0
     step = next(size for size in (0.5, 1, 2, 5, 10, 20, 50, 100, 1e9) if reach / size <= 5)
     low = np.minimum(places[:, :2].min(axis=0), 0.0) - 0.12 * reach
@@ -146,7 +147,7 @@ def plan_view(places: Floats) -> str:
     parts.append(
         f'<circle cx="{cx:.1f}" cy="{cy:.1f}" r="5" fill="{INK}"/><text x="{cx + 8:.1f}" y="{cy + 16:.1f}">LiDAR</text>'
     )
-    named: list[tuple[float, float, list[str]]] = []  # places so near to each other that they share their names' place
+    named: list[tuple[float, float, list[str]]] = []  # places so near to each other that they share one label
     for number, (x, y, _) in enumerate(places, 1):
         px, py = at(float(x), float(y))
         parts.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="4" fill="{BLUE}"/>')
@@ -165,7 +166,7 @@ def plan_view(places: Floats) -> str:
 
 
 def _places(document: Mapping[str, Any]) -> Floats:
-    """(N, 3) where the targets of a result are, in the LiDAR's frame; empty for results that are nowhere."""
+    """Return the places (N, 3) of a result's targets in the LiDAR's frame; empty for results without places."""
     kind = kind_of(document)
     entries = document["scans"] if kind in ("estimate", "detect", "mocap") else ()
     if kind == "detect":

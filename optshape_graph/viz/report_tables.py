@@ -1,4 +1,4 @@
-"""The numbers of a result as the tables of its report, made of its plain form."""
+"""Tables of a report, made of a result's plain form."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from optshape_graph.evaluation.verdicts import kind_of
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of a report.
+    """A table of a report.
 
     Attributes:
         title: above it.

@@ -1,4 +1,4 @@
-"""What there is to see, in the Rerun viewer or as its recording (.rrd)."""
+"""Points and lines in the Rerun viewer, or as its recording (.rrd)."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ if TYPE_CHECKING:
     import rerun
 
 TIMELINE = "scan"
-"""The slider that goes through the scans of a result."""
+"""Name of the slider that goes through the scans of a result."""
 
 LOOPBACK = "127.0.0.1"
 
 SECONDS = 30.0
-"""That the viewer may take to start."""
+"""Seconds that the viewer may take to start."""
 
 
 def save_recording(seen: Spatial, path: str | Path, name: str = "optshape") -> None:
-    """Write a recording that Rerun opens, whole or not at all.
+    """Write a recording for Rerun, whole or not at all.
 
     Args:
         seen: what to show.
@@ -56,7 +56,7 @@ def open_viewer(seen: Spatial, name: str = "optshape") -> None:
     require_screen("Rerun's viewer")
     try:
         stream.connect_grpc(f"rerun+http://{LOOPBACK}:{_start_viewer()}/proxy")
-    except Exception as error:  # whatever the system says: no program, no permission
+    except Exception as error:  # any error of the system: no program, no permission
         raise InputError(
             f"the Rerun viewer could not be started ({error}); write a file instead: --save FILE.rrd"
         ) from error
@@ -65,7 +65,7 @@ def open_viewer(seen: Spatial, name: str = "optshape") -> None:
 
 
 def _start_viewer() -> int:
-    """Start the viewer, bound to the loopback (its own default is all interfaces); return its port when it listens.
+    """Start the viewer on the loopback only (its default is all interfaces); return its port once it listens.
 
     Raises:
         OSError: it ended, or does not listen.
@@ -130,6 +130,6 @@ def _log(stream: rerun.RecordingStream, seen: Spatial) -> None:
 
 
 def _path(name: str) -> str:
-    """The entity path of a name whose parts may hold any character."""
+    """Return the entity path of a name whose parts may have any characters."""
     rr = _rerun()
     return "/".join(rr.escape_entity_path_part(part) for part in name.split("/"))

@@ -1,4 +1,4 @@
-"""A rig: where its sensors are and how well that is known; what sightings are off by; errors of its LiDARs' rings."""
+"""Pictures of a rig: places of its sensors with their uncertainty, errors of sightings, errors of LiDARs' rings."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SIGMAS = 3.0
 """Standard deviations that ellipses enclose in each direction."""
 
 VIEWS = (("from above", 0, 1), ("from the side", 0, 2))
-"""Of the rig: in words, and the axes of the base that are drawn."""
+"""Views of the rig: name, and the two axes of the base that are drawn."""
 
 
 def plot_rig(result: RigCalibration, magnify: float | None = None) -> Figure:
@@ -38,7 +38,7 @@ def plot_rig(result: RigCalibration, magnify: float | None = None) -> Figure:
 
     Args:
         result: the calibration.
-        magnify: how many times the ellipses are drawn too large; None: as many as makes them visible.
+        magnify: factor by which the ellipses are enlarged; None: one that makes them visible.
 
     Raises:
         MissingExtraError: matplotlib is absent.
@@ -72,7 +72,7 @@ def plot_rig(result: RigCalibration, magnify: float | None = None) -> Figure:
 
 
 def plot_sightings(result: RigCalibration) -> Figure:
-    """Draw how far each sensor's sightings are from where the others put the target, every placement left out.
+    """Draw the errors of each sensor's sightings, each placement predicted by the others.
 
     Raises:
         MissingExtraError: matplotlib is absent.
@@ -95,7 +95,7 @@ def plot_sightings(result: RigCalibration) -> Figure:
 
 
 def plot_rings(result: RigCalibration) -> Figure:
-    """Draw the errors of each LiDAR's rings, in what its sensor file lets expect, with their standard deviations.
+    """Draw the errors of each LiDAR's rings, in standard deviations of its sensor file, with their uncertainty.
 
     Raises:
         MissingExtraError: matplotlib is absent.

@@ -1,4 +1,4 @@
-"""A full scan: as the LiDAR sees it and from above, with the targets that are in it."""
+"""Pictures of a full scan, as the LiDAR sees it and from above, with the targets in it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_RETURNS = 60_000
-"""Returns that are drawn of a larger scan: every k-th."""
+"""Returns that are drawn at most: of a larger scan every k-th."""
 
 
 def plot_scan(scan: Scan, targets: Mapping[str, Floats] | None = None, title: str = "") -> Figure:
@@ -27,8 +27,8 @@ def plot_scan(scan: Scan, targets: Mapping[str, Floats] | None = None, title: st
 
     Args:
         scan: a full revolution, or part of it.
-        targets: vertices (n, 3) of what to outline, LiDAR frame, metres, by name.
-        title: what one sees; "": the scan's name.
+        targets: vertices (n, 3) of the outlines by name, LiDAR frame, metres.
+        title: of the figure; "": the scan's name.
 
     Raises:
         MissingExtraError: matplotlib is absent.
@@ -39,7 +39,7 @@ def plot_scan(scan: Scan, targets: Mapping[str, Floats] | None = None, title: st
 
 
 def plot_detections(scan: Scan, detections: Detections) -> Figure:
-    """Draw a full scan, the targets found in it, and what was turned down (crosses).
+    """Draw a full scan, the targets found in it, and rejected surfaces (crosses).
 
     Args:
         scan: the scan.
@@ -62,7 +62,7 @@ def plot_detections(scan: Scan, detections: Detections) -> Figure:
 
 
 def plot_found(detections: Detections) -> Figure:
-    """Draw what was found in a scan from above: outlines of targets, crosses for what was turned down.
+    """Draw detections from above: outlines of targets, crosses for rejected surfaces.
 
     Args:
         detections: what was found.
@@ -103,7 +103,7 @@ def plot_simulation(simulated: SimulatedScan) -> Figure:
 
 
 def _drawn(scan: Scan, targets: Mapping[str, Floats]) -> tuple[Figure, Axes, Axes]:
-    """The figure, with its view from the LiDAR and its view from above."""
+    """Return a figure, its view from the LiDAR and its view from above."""
     figure = new_figure(10.0, 11.0)
     seen, above = figure.subplots(2, 1, height_ratios=(1.0, 2.4))
     points = scan.points[:: len(scan) // MOST_RETURNS + 1]
@@ -135,7 +135,7 @@ def _drawn(scan: Scan, targets: Mapping[str, Floats]) -> tuple[Figure, Axes, Axe
 
 
 def _is_found(rejection: Rejection, detections: Detections) -> bool:
-    """Whether something stands there that was found to be another target."""
+    """Return whether a rejected surface was found to be another target."""
     return any(
         np.linalg.norm(one.estimate.T_lidar_target[:3, 3] - rejection.centre) < one.target.circumradius
         for one in detections.found
@@ -143,13 +143,13 @@ def _is_found(rejection: Rejection, detections: Detections) -> bool:
 
 
 def _goes_round(points: Floats) -> bool:
-    """Whether there are returns in front, behind and at the sides."""
+    """Return whether there are returns in front, behind and at the sides."""
     x, y = points[:, 0], points[:, 1]
     return bool(x.min() < 0 < x.max() and y.min() < 0 < y.max())
 
 
 def _angles(points: Floats) -> tuple[Floats, Floats]:
-    """Azimuth and elevation, degrees."""
+    """Return azimuth and elevation, degrees."""
     x, y, z = points.T
     return np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
 

@@ -1,4 +1,4 @@
-"""A sensor's calibration: how far rings are off boards, before and after, and what was found of each."""
+"""Pictures of a sensor's calibration: residuals of rings on boards, before and after, and deviations of each ring."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def plot_ring_residuals(result: SensorCalibration) -> Figure:
 
 
 def plot_ring_deviations(result: SensorCalibration) -> Figure:
-    """Plot how far each ring is off the given file, with standard deviations.
+    """Plot how far each ring deviates from the given file, with standard deviations.
 
     Raises:
         MissingExtraError: matplotlib is absent.

@@ -1,4 +1,4 @@
-"""What there is to see in space: points and lines of a scan, of a result, of a map. Viewers draw them, each its way."""
+"""Points and lines in space, of a scan, a result or a map, for the viewers to draw."""
 
 from __future__ import annotations
 
@@ -67,12 +67,12 @@ class Lines(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Spatial(Value):
-    """All there is to see.
+    """All points and lines to show.
 
     Attributes:
         items: points and lines, in one frame.
-        steps: what each step is, for a viewer's slider.
-        notes: what could not be shown, and why.
+        steps: names of the steps, for a viewer's slider.
+        notes: what could not be shown, with the reason.
     """
 
     items: tuple[Points | Lines, ...]
@@ -81,22 +81,22 @@ class Spatial(Value):
 
 
 def require_screen(viewer: str) -> None:
-    """Find out before a viewer is started that there is nothing to show it on.
+    """Check before a viewer is started that there is a screen.
 
     Raises:
-        InputError: on Linux, no display is named.
+        InputError: on Linux, no display is set.
     """
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError(f"there is no screen for {viewer} (DISPLAY is not set); write a file: --save FILE.rrd")
 
 
 def rgb(colour: str) -> Colours:
-    """(3,) red, green, blue of `#rrggbb`."""
+    """Return red, green, blue (3,) of `#rrggbb`."""
     return np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)], dtype=np.uint8)
 
 
 def by_range(points: Floats) -> Colours:
-    """(N, 3) colours of points by their distance from the origin, in equal ratios."""
+    """Return colours (N, 3) of points (N, 3), metres, by the logarithm of their distance from the origin."""
     distance = np.log(np.maximum(np.linalg.norm(points, axis=1), 1e-3))
     share = (distance - distance.min(initial=np.inf)) / max(float(np.ptp(distance)) if len(distance) else 0.0, 1e-9)
     nodes = np.linspace(0.0, 1.0, len(RANGES))
@@ -104,7 +104,7 @@ def by_range(points: Floats) -> Colours:
 
 
 def by_label(labels: Sequence[int]) -> Colours:
-    """(N, 3) colours of points by the edge that they were taken for."""
+    """Return colours (N, 3) of points by the edge that they were assigned to."""
     return np.array([rgb(colour(int(k))) for k in labels], dtype=np.uint8).reshape(-1, 3)
 
 
@@ -136,7 +136,7 @@ def axes(name: str, T: Floats, size: float = 0.3, label: str = "", step: int | N
 
 
 def ellipsoid(name: str, T: Floats, covariance: Floats, step: int | None = None) -> Lines:
-    """Return where a pose's origin may be: three standard deviations, as three circles.
+    """Return the ellipsoid of three standard deviations of a pose's origin, as three circles.
 
     Args:
         name: place in the tree of what is shown.

@@ -1,4 +1,4 @@
-"""What all pictures have in common: palette, axes, and the way they reach a file."""
+"""Common parts of all pictures: palette, axes, names, and writing to a file."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ INK, GREY, PALE = "#222222", "#8c8c8c", "#d0d0d0"
 BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
 
 COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
-"""Of series, edges, trajectories: told apart by the colour-blind (Okabe and Ito, 2008)."""
+"""Colours of series, edges, trajectories, which the colour-blind can distinguish (Okabe and Ito, 2008)."""
 
 MARKERS = ("o", "s", "^", "D", "v", "P")
-"""Go with the colours: series are told apart in black and white, too."""
+"""Markers that go with the colours, so that series differ in black and white, too."""
 
 FORMATS = ("png", "pdf", "svg")
-"""Of pictures, by the endings of their names."""
+"""Formats of pictures, which are the endings of their names."""
 
 CAPTION_PT = 9.0
-"""Size of what is said below a figure."""
+"""Size of the text below a figure, points."""
 
 DPI = 150
-"""Of files: a figure 8 inches wide is 1200 pixels."""
+"""Dots per inch of files: a figure 8 inches wide has 1200 pixels."""
 
 
 def new_figure(width: float = 8.0, height: float = 6.0) -> Figure:
@@ -76,7 +76,7 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
 
 
 def colour(k: int) -> str:
-    """Return the k-th colour of a series: those of `COLOURS`, then further ones, none of them twice."""
+    """Return the k-th colour of a series: those of `COLOURS`, then others, all different."""
     if k < len(COLOURS):
         return COLOURS[k]
     further = k - len(COLOURS)
@@ -101,7 +101,7 @@ def plain(axes: Axes, *, equal: bool = False) -> Axes:
 
 
 def legend_below(figure: Figure, *axes: Axes, columns: int = 4, caption: str | None = None) -> None:
-    """Put one legend below a figure, of some axes or of all, headed by how the figure is to be read."""
+    """Put one legend below a figure, of some axes or of all, with a caption above it."""
     handles, labels = [], []
     for axis in axes or figure.axes:
         found = axis.get_legend_handles_labels()
@@ -114,7 +114,7 @@ def legend_below(figure: Figure, *axes: Axes, columns: int = 4, caption: str | N
 
 
 def literal(text: str, longest: int = 48) -> str:
-    """Return a name as it is to be drawn: dollars are no mathematics, nothing is obeyed, and it is not very long."""
+    """Return a name for drawing: shortened, on one line, with dollars that do not start mathematics."""
     text = shown(text)
     if len(text) > longest:
         text = f"{text[: longest // 2]}…{text[-(longest // 2 - 1) :]}"
@@ -122,7 +122,7 @@ def literal(text: str, longest: int = 48) -> str:
 
 
 def short(name: str) -> str:
-    """Return the last part of a scan's name, where that is a path, as it is to be drawn."""
+    """Return a scan's name for drawing: the last part, if it is a path."""
     return literal(PurePath(name).name or name)
 
 
@@ -133,7 +133,7 @@ def outline(axes: Axes, polygon: Floats, colour: str = INK, **style: object) -> 
 
 
 def ellipse(covariance: Floats, sigmas: float) -> Floats:
-    """(K, 2) outline of `sigmas` standard deviations of a (2, 2) covariance about the origin."""
+    """Return the outline (K, 2) of `sigmas` standard deviations of a covariance (2, 2) about the origin."""
     values, vectors = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2 * np.pi, 73)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -141,7 +141,7 @@ def ellipse(covariance: Floats, sigmas: float) -> Floats:
 
 
 def magnification(sizes: Sequence[float] | Floats, extent: float) -> float:
-    """Return 1, 2, 5, 10, ...: how many times too large to draw sizes, so that the largest is a tenth of an extent.
+    """Return the factor, of 1, 2, 5, 10, ..., that enlarges the largest size to about a tenth of an extent.
 
     Args:
         sizes: (N,) in any unit.

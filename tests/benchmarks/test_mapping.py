@@ -13,6 +13,7 @@ from gtsam.symbol_shorthand import L, X
 from optshape_graph.evaluation.metrics import pose_error
 from optshape_graph.evaluation.trajectories import absolute_error, pose_nees, predicted_rmse
 from optshape_graph.factors import TemplateCallbackFactor, TemplateMeasurement, summarise
+from optshape_graph.graph.solve import CONVERGED
 from optshape_graph.io import load_sensor
 from optshape_graph.io.recordings import Recording
 from optshape_graph.mapping import (
@@ -27,6 +28,7 @@ from optshape_graph.mapping import (
     Track,
     solve_batch,
 )
+from optshape_graph.mapping.incremental_graph import LOSS
 from optshape_graph.mapping.recording import (
     KeyframePolicy,
     MotionNoise,
@@ -82,15 +84,27 @@ def problem_of(n_poses: int) -> MappingProblem:
 
 
 def bare_graph(problem: MappingProblem) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """Return the same graph of Between factors, each between the poses that the measurement's own minimum gives."""
+    """Return the same graph of Between factors, each between the poses that the measurement's own minimum gives.
+
+    Its robust loss is the batch's, too.
+    """
     graph, values = chain(problem)
     key = {name: L(k) for k, name in enumerate(problem.T_world_target)}
-    matches = problem.tracks[0].matches
+    matches, loss = problem.tracks[0].matches, gtsam.noiseModel.mEstimator.Huber.Create(LOSS)
     for match, summary in zip(matches, summarise([m.measurement for m in matches]), strict=True):
         noise = gtsam.noiseModel.Gaussian.SqrtInformation(summary.sqrt_information, False)
         pose = gtsam.Pose3(summary.T_target_lidar)
-        graph.push_back(gtsam.BetweenFactorPose3(key[match.landmark], X(match.pose), pose, noise))
+        robust = gtsam.noiseModel.Robust.Create(loss, noise)
+        graph.push_back(gtsam.BetweenFactorPose3(key[match.landmark], X(match.pose), pose, robust))
     return graph, values
+
+
+def as_far(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.LevenbergMarquardtOptimizer:
+    """Return GTSAM's solver, ending where the batch does: its default leaves some units of half a chi-square."""
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(0.0)
+    parameters.setAbsoluteErrorTol(CONVERGED)
+    return gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
 
 
 def callback_graph(problem: MappingProblem) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
@@ -204,36 +218,40 @@ def test_incremental_against_the_bare_graph(capsys):
 
 
 @pytest.mark.benchmark
-def test_batch_against_the_bare_graph_and_callbacks(capsys):
+def test_batch_against_callbacks(capsys):
     problem = problem_of(1000)
-    graph, values = bare_graph(problem)
-    bare = seconds(lambda: gtsam.LevenbergMarquardtOptimizer(graph, values).optimize())
     solution = solve_batch(problem)
     ours = seconds(lambda: solve_batch(problem))
-    callbacks, _ = callback_graph(problem)
+    callbacks, values = callback_graph(problem)
     exact = seconds(lambda: gtsam.LevenbergMarquardtOptimizer(callbacks, values).optimize(), repeat=1)
     with capsys.disabled():
-        print(
-            f"\nbatch, 1000 poses x 3: {ours:.3f} s in {solution.iterations} iterations; bare LM {bare:.3f} s, ratio "
-            f"{ours / bare:.2f}; callbacks {exact:.2f} s, {exact / ours:.1f} x ours"
-        )
+        print(f"\nbatch, 1000 poses x 3: {ours:.3f} s; callbacks {exact:.2f} s, {exact / ours:.1f} x ours")
     assert solution.converged
-    assert ours <= 3.0 * bare
     assert exact >= 10.0 * ours
 
 
 @pytest.mark.benchmark
-def test_batch_cost_grows_with_the_poses(capsys):
-    sizes = [500, 1000, 2000, 4000]
-    times = []
+def test_batch_cost_grows_with_the_poses_as_that_of_the_bare_graph(capsys):
+    sizes = [500, 1000, 2000, 4000, 10000]
+    ours, bare, default = [], [], []
     for size in sizes:
         problem = problem_of(size)
-        times.append(seconds(lambda problem=problem: solve_batch(problem), repeat=2))
-    exponent = np.polyfit(np.log(sizes), np.log(times), 1)[0]
+        graph, values = bare_graph(problem)
+        bare.append(seconds(lambda graph=graph, values=values: as_far(graph, values).optimize()))
+        default.append(
+            seconds(lambda graph=graph, values=values: gtsam.LevenbergMarquardtOptimizer(graph, values).optimize())
+        )
+        ours.append(seconds(lambda problem=problem: solve_batch(problem)))
+    exponent = np.polyfit(np.log(sizes), np.log(ours), 1)[0]
+    ratios = np.divide(ours, bare)
     with capsys.disabled():
-        listed = ", ".join(f"{n}: {t:.2f} s" for n, t in zip(sizes, times, strict=True))
-        print(f"\nbatch by poses: {listed}; exponent {exponent:.2f}")
+        listed = ", ".join(f"{n}: {t:.2f} s" for n, t in zip(sizes, ours, strict=True))
+        print(
+            f"\nbatch by poses: {listed}; exponent {exponent:.2f}; bare LM of the same cost, as far: ratios "
+            f"{np.round(ratios, 2)}; as far as it goes by itself: {np.round(np.divide(ours, default), 2)}"
+        )
     assert exponent <= 1.2
+    assert ratios.max() <= 2.0
 
 
 def driven_by_slam(seed: int, known: bool, wrong: float, n_poses: int = 250) -> dict[str, float]:

@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 import optshape_graph
+from optshape_graph import InputError
 from optshape_graph.cli.map import command
 from optshape_graph.io import load_session, save_sensor, save_target, write_scan
 from optshape_graph.io.trajectories import Trajectory, read_g2o, read_tum, write_tum
@@ -79,6 +80,21 @@ def test_a_session_without_odometry_is_placed_by_its_target(tmp_path):
     session = load_session(DEMO)
     assert [landmark["id"] for landmark in document["landmarks"]] == [t.name for t in session.targets.values()]
     assert len(document["trajectory"]) == len(session.views)
+
+
+def test_the_journal_of_a_failed_run_does_not_stop_the_corrected_one(recording, tmp_path):
+    arguments = [recording, "--targets", recording / "board.yaml", "--sensor", recording / "lidar.yaml"]
+    arguments += ["--json", tmp_path / "map.json", "--workers", "1"]
+
+    def fails(*_, **__):
+        raise InputError("a measurement is not finite")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("optshape_graph.mapping.recording.solve_batch", fails)
+        assert "not finite" in run(*arguments, "--odometry-noise", "0.5", "5", code=2)
+    assert (tmp_path / "map.json.journal").exists()
+    assert "2 landmarks" in run(*arguments)
+    assert not (tmp_path / "map.json.journal").exists()
 
 
 def test_nothing_found_is_exit_status_three(recording, tmp_path):

@@ -5,6 +5,7 @@ from hypothesis import given
 from optshape_graph import InputError
 from optshape_graph.factors import (
     EDGE_OFFSET,
+    ELEVATION,
     RANGE_BIAS,
     BiasedMeasurement,
     SharedError,
@@ -15,6 +16,7 @@ from optshape_graph.factors import (
     range_directions,
     ring_bias_columns,
 )
+from optshape_graph.factors.static import seen_scale
 from optshape_graph.se3 import adjoint, inverse
 from tests.factors.support import TARGET, edge_points, log, minimise, random_pose, seeds
 
@@ -203,3 +205,22 @@ def test_a_displacement_widens_once_however_many_scans(seed):
         Ad = adjoint(inverse(minimum))
         grown = np.linalg.inv(wide.information(minimum)) - np.linalg.inv(sharp.information(minimum))
         np.testing.assert_allclose(grown, Ad @ effect @ effect.T @ Ad.T, rtol=1e-3, atol=1e-8)
+
+
+@pytest.mark.parametrize(("size", "seen"), [(1.0, 1.0), (2.0, 2.0), (3.0, 3.0)])
+def test_errors_are_as_large_as_scans_show_them(size, seen):
+    """Half a size either way in the median of 60 scenes; range biases are called elevations here."""
+    rng, found = np.random.default_rng(7), []
+    for _ in range(60):
+        T = random_pose(rng)
+        scans = [rows_of(*scan(rng, T, bias=0.0 * np.ones(N_RINGS)), T) for _ in range(10)]
+        moved = size * rng.normal(size=N_RINGS)
+        measurements = [
+            BiasedMeasurement.from_rows(
+                A / 0.01, 0.02 * B / 0.01, (r - 0.02 * B @ moved) / 0.01, T,
+                [SharedError(ELEVATION, ring=ring) for ring in range(N_RINGS)],
+            )
+            for A, B, r in scans
+        ]  # fmt: skip
+        found.append(seen_scale(sum(measurements[1:], measurements[0]), ELEVATION, 1.0))
+    assert np.median(found) == pytest.approx(seen, abs=0.5 * seen)

@@ -42,10 +42,12 @@ def recorded(turning: bool, offset: float) -> tuple[list[Stamped], list[Stamped]
 
 
 def test_the_offset_is_estimated():
+    """Registered forward in time it is 5 to 10 ms late; with what it is backward, within its deviation."""
     pytest.importorskip("kiss_icp")
     scans, poses = recorded(turning=True, offset=1234.56)
     found = offset_of(scans, poses)
-    assert found.seconds == pytest.approx(1234.56, abs=0.02)  # a fifth of a revolution
+    assert found.seconds == pytest.approx(1234.56, abs=2.0 * found.standard_deviation)
+    assert found.seconds == pytest.approx(1234.56, abs=0.01)
     assert 0.001 < found.standard_deviation < 0.02
 
 

@@ -11,6 +11,7 @@ from optshape_graph.factors import SummaryFactor, fuse_static
 from optshape_graph.graph import Observation
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import estimate_pose
+from optshape_graph.pose.fit import cut_short
 from tests.pose.clouds import recorded_cases
 from tests.shared import needs_shared
 from tests.statistics.violations import KINDS as ALL
@@ -151,3 +152,10 @@ def test_too_few_returns_to_judge() -> None:
     few = one.scan.select(np.flatnonzero(np.isin(ring, np.unique(ring)[:2])))
     found = estimate_pose(Scan(few.points, few.ring, sensor=few.sensor), one.target)
     assert found.status != "ok"
+
+
+def test_a_view_that_is_cut_ends_short_in_one_column() -> None:
+    """Two ends of the outermost column, 3 and 4 standard deviations short: 5; one alone is an odd end: 0."""
+    azimuth = np.array([0.0, 1.0, 3.0, 3.1, 3.0])
+    assert cut_short(azimuth, np.array([0.5, -4.0, -3.0, -4.0, 1.0]), 1.0) == pytest.approx(5.0)
+    assert cut_short(azimuth, np.array([0.5, -4.0, -3.0, 0.0, 1.0]), 1.0) == 0.0

@@ -65,11 +65,11 @@ def test_a_grid_finds_no_other_mode(group: str, index: int) -> None:
 
 @pytest.mark.slow
 def test_the_truth_is_among_the_candidates() -> None:
-    """Within 25 deg and 0.35 radii of one, in 99.9 % of all scans: of 20 of each group at most one is not."""
+    """Within 25 deg and 0.35 radii of one, in 99.9 % of all scans: of 20 of each of eleven groups in all."""
     missed = []
     for group, index in product(GROUPS, range(20)):
         scan, target, T = draw(group, SEED, index)
         found = inverse(find_candidates([measure(scan, target, PoseOptions())])[0].T_target_lidar)
         if not same_mode(found, T, target).any():
             missed.append((group, index))
-    assert len(missed) <= 1, missed
+    assert not missed

@@ -50,6 +50,31 @@ def test_another_run_is_refused(tmp_path: Path) -> None:
             Journal(path, describe, count)
 
 
+@pytest.mark.parametrize("stopped", [False, True])
+def test_after_a_run_that_failed_a_corrected_one_begins_anew(tmp_path: Path, stopped: bool) -> None:
+    path, error = tmp_path / "a.journal", (KeyboardInterrupt if stopped else InputError)("why")
+
+    def ends(task: int) -> None:
+        with Journal(path, WHAT, 3) as journal:
+            assert journal.finished == task - 1
+            journal.add(task, {"a": task})
+            raise error
+
+    for task in (1, 2):  # the same run goes on, also after it failed
+        with pytest.raises(type(error)):
+            ends(task)
+    corrected = WHAT | {"version": 2}
+    if stopped:  # what was being done well is not given up for a slip of the hand
+        with pytest.raises(InputError, match="another run"):
+            Journal(path, corrected, 3)
+        return
+    with Journal(path, corrected, 3) as journal:
+        assert journal.finished == 0
+        journal.add(0, {"a": 0})
+    with Journal(path, corrected, 3) as journal:
+        assert [line["task"] for line in journal] == [0]
+
+
 def test_a_run_that_finished_nothing_leaves_nothing(tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
     with Journal(path, WHAT, 3):

@@ -18,7 +18,8 @@ from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.images.reading import ImageTask, TargetInImage, find_targets
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.factors import OF_RANGES, OF_RINGS, SharedError
+from optshape_graph.factors import EDGE_OFFSET, OF_RANGES, OF_RINGS, BiasedMeasurement, SharedError
+from optshape_graph.factors._rows import triangular
 from optshape_graph.io import Session, read_scan
 from optshape_graph.io import View as Entry
 from optshape_graph.io.passed_over import UNUSABLE, PassedOver
@@ -41,6 +42,8 @@ ScanKey = tuple[Path, str, str]
 
 ScanResult = TargetInScan | EstimationError | InputError
 ImageResult = TargetInImage | EstimationError | InputError
+
+KEPT_EDGE_OFFSET = SharedError("edge offset that stays")
 
 
 def read_views(
@@ -157,7 +160,7 @@ def target_in_scan(
         uncorrected=estimate.shared.marginal([float(e.kind not in OF_RANGES) for e in estimate.shared.shared]),
         shared=shared,
         shared_effect=shared_effect,
-        persistent=estimate.shared.without(passing),
+        persistent=_keeping_edge_offset(estimate.shared).without(passing),
         bias_factor=estimate.fit.bias_factor,
         edge_inset=estimate.inset_rad,
         doubt=estimate.reason if estimate.status == "doubtful" else "",
@@ -167,8 +170,20 @@ def target_in_scan(
 
 
 def persists(error: SharedError) -> bool:
-    """Return whether an error is the LiDAR's own, in every scan: a ring's."""
-    return error.ring is not None and error.kind in OF_RINGS
+    """Return whether an error is the LiDAR's own, in every scan: a ring's, or an offset of edges that stays."""
+    return error == KEPT_EDGE_OFFSET or (error.ring is not None and error.kind in OF_RINGS)
+
+
+def _keeping_edge_offset(shared: BiasedMeasurement) -> BiasedMeasurement:
+    """Add an edge offset that the LiDAR keeps to that of each scan: as large, for no file says which of them it has.
+
+    Scans' own offsets average away. One that stays does not, and by the apparent size of targets it looks like a range.
+    """
+    index = [k for k, error in enumerate(shared.shared) if error.kind == EDGE_OFFSET]
+    if not index:
+        return shared
+    stack = triangular(np.hstack([shared.stack[:, index], shared.stack]))
+    return replace(shared, stack=stack, shared=(KEPT_EDGE_OFFSET, *shared.shared))
 
 
 def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[SharedError, ...], Floats]:

@@ -32,7 +32,7 @@ AGREES_M = 0.1
 """Median distance of two sensors' sightings, metres, up to which an offset may be right."""
 
 WINDOW = 0.25
-"""Time before and after a sighting, seconds, whose sightings tell the first guess of its twist."""
+"""Time before and after a sighting, seconds, whose sightings tell its twist."""
 
 MOST_ROUNDS, ROUNDS_OF_DENSITY, SAMPLED = 10, 4, 24
 """Times that tracks are made again; of these, those in which the density is estimated; and by how many pairs."""
@@ -171,12 +171,10 @@ def solve_moving(
     """
     start, offsets, moving, density = graph.start, dict(offsets), list(moving), graph.density
     poses = [start.T_base_sensor[s.sensor] @ s.pose for s in moving]
-    twists: list[Floats] | None = None
     values = None
     for round_ in range(MOST_ROUNDS):
         times = np.array([_time(s) - offsets[s.sensor] for s in moving])
-        if twists is None:
-            twists = _first_twists(moving, times, poses)
+        twists = _twists(moving, times, poses)
         if round_ in (0, 1):
             moving, poses = _straightened(moving, poses, twists, start.T_base_sensor)
         first = len(start.sightings)
@@ -195,7 +193,6 @@ def solve_moving(
         offsets |= {name: offsets[name] + value for name, value in change.items()}
         solution = solved.solution
         poses = [solution.pose(current.placements[s.placement]) for s in moving]
-        twists = [np.array(solution.values.atVector(current.twist_key(first + k))) for k in range(len(moving))]
         values = solution.values
         if round_ < ROUNDS_OF_DENSITY:
             density = _density(solved, density)
@@ -205,11 +202,16 @@ def solve_moving(
     raise EstimationError(f"the clocks do not come to rest: they still move by {still_by:.2f} ms")
 
 
-def _first_twists(moving: Sequence[Sighting], times: Floats, poses: Sequence[Floats]) -> list[Floats]:
-    """Twists (6,) by the sightings about each: a line through what they differ by."""
+def _twists(moving: Sequence[Sighting], times: Floats, poses: Sequence[Floats]) -> list[Floats]:
+    """Twists (6,) by the sightings about each: a line through what they differ by.
+
+    A clock's offset is where what sightings are off by has nothing in common with twists. Those of the graph have: they
+    follow each sighting's own error, always the same way where one sensor takes its turn soon after the other, which
+    moved clocks by three standard deviations. A line through the others does not.
+    """
     twists, names, T = [], np.array([s.target.name for s in moving]), np.array(poses)
     for k, time in enumerate(times):
-        near = np.flatnonzero((np.abs(times - time) < WINDOW) & (names == names[k]))
+        near = np.flatnonzero((np.abs(times - time) < WINDOW) & (names == names[k]) & (np.arange(len(times)) != k))
         h, xi = times[near] - time, difference(T[k], T[near])
         rows = np.column_stack([np.ones(len(h)), h])
         slope = np.linalg.lstsq(rows, xi, rcond=1e-6)[0][1] if len(near) > 2 else np.zeros(6)

@@ -6,6 +6,7 @@ import itertools
 from collections import Counter
 from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -81,14 +82,14 @@ class Bag:
             yield from self._latest_path(topic, skipped)
             return
         name = topic.name.rsplit(":", 2)[0] if topic.type in messages.TRANSFORMS else topic.name
-        for number, data in enumerate(self._raw(name, skipped)):
+        for number, (received, data) in enumerate(self._messages(name, skipped)):
             where = f"{self.path} {name} message {number}"
             try:
                 values = self._decode(topic, data, where, sensor, skipped.unused)
             except BadMessage as problem:
                 skipped.add(problem, where)
                 continue
-            yield from values
+            yield from (replace(value, received=received) for value in values)
 
     def _ouster(self, topic: Topic, skipped: Skipped, sensor: SensorModel | None) -> Iterator[Stamped[Any]]:
         """Yield the scans in an Ouster's packets, decoded with the metadata recorded beside them."""
@@ -185,7 +186,12 @@ class Bag:
         return list(found)
 
     def _raw(self, name: str, skipped: Skipped) -> Generator[bytes, None, None]:
-        """Yield the serialised messages of a topic in order of recording.
+        """Yield the serialised messages of a topic in order of recording."""
+        with closing(self._messages(name, skipped)) as both:
+            yield from (data for _, data in both)
+
+    def _messages(self, name: str, skipped: Skipped) -> Generator[tuple[float, bytes], None, None]:
+        """Yield when the messages of a topic were received, seconds, and they, serialised, in order of recording.
 
         Reading ends where the file is damaged; the remaining messages in its index are counted as skipped.
         """
@@ -199,14 +205,14 @@ class Bag:
             raw = reader.messages(connections)
             for number in itertools.count():
                 try:
-                    _, _, data = next(raw)
+                    _, received, data = next(raw)
                 except StopIteration:
                     return
                 except Exception as error:  # a storage reader may raise anything on damaged bytes
                     problem = BadMessage("recording damaged from there on", f"{type(error).__name__}: {error}")
                     skipped.add(problem, f"{self.path} {name} message {number}", max(promised - number, 1))
                     return
-                yield data
+                yield 1e-9 * received, data
 
     @contextmanager
     def _open(self) -> Iterator[Any]:

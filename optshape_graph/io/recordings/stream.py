@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from bisect import bisect_left
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Generic, TypeVar
@@ -23,7 +23,10 @@ SETTLED = 4
 """So many following stamps tell whether the clock was set back, or one message is late."""
 
 SET_BACK = 1.0
-"""A clock is followed if it was set back by at least so many seconds, on which topics of different rates agree."""
+"""A clock is followed if it was set by at least so many seconds, on which topics of different rates agree."""
+
+AGREE = 0.5
+"""Seconds by which the ways of messages to the recorder may differ, if its clock is to tell of a jump."""
 
 ROUNDING = 1e-6
 """Seconds since 1970 as 64-bit floats are rounded to a quarter of this."""
@@ -52,10 +55,12 @@ class Stamped(Generic[T]):
     Attributes:
         stamp: seconds, of the clock that stamped the message's header.
         value: what was measured.
+        received: seconds, of the recorder's clock, when the message came; None: not recorded.
     """
 
     stamp: float
     value: T
+    received: float | None = None
 
 
 class Skipped(Counter[str]):
@@ -85,11 +90,11 @@ class Skipped(Counter[str]):
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump of a clock that was set back during the recording.
+    """A jump of a clock that was set during the recording.
 
     Attributes:
         stamp: the time before, seconds.
-        seconds: by how much the clock was set back.
+        seconds: by how much the clock was set back; negative: forward.
     """
 
     stamp: float
@@ -105,8 +110,8 @@ class Stream(Generic[T]):
     Attributes:
         name: the file and topic, for messages.
         expected: number of messages that the recording states, or None.
-        follow: whether a clock that was set back is followed: later stamps are made those of the clock before.
-            Otherwise messages are skipped until the clock shows later times again.
+        follow: whether a clock that was set is followed: later stamps are made those of the clock before. Otherwise
+            messages are skipped until the clock shows later times again, and stamps that it was set forward stay.
         skipped: number of messages skipped by reason, of the latest iteration.
         jumps: jumps of the clock that were followed, of the latest iteration.
     """
@@ -131,37 +136,40 @@ class Stream(Generic[T]):
         return in_order(followed(items, self.jumps) if self.follow else items, self.skipped, self.name)
 
     def following(self) -> Stream[T]:
-        """Return the same stream, with a clock that was set back followed."""
+        """Return the same stream, with a clock that was set followed."""
         return Stream(self.name, self._read, self.expected, follow=True)
 
 
 def followed(items: Iterable[Stamped[T]], jumps: list[Jump]) -> Iterator[Stamped[T]]:
-    """Yield the items, stamped as if their clock had gone on by its usual step instead of being set back.
+    """Yield the items, stamped as if their clock had gone on by its usual step instead of being set.
 
-    The clock was set back where a stamp, and those after it in order, lie a second or more before the latest one.
+    The clock was set back where a stamp, and those after it in order, lie a second or more before the latest one. It
+    was set forward where they lie a second or more after it and, by the recorder's clock, should not: by stamps alone
+    a pause looks the same.
 
     Args:
         items: in the order of recording.
         jumps: a list to which the followed jumps are added.
     """
     window: deque[Stamped[T]] = deque()
-    recent: deque[float] = deque(maxlen=LOOKAHEAD + 1)
+    recent: deque[Stamped[T]] = deque(maxlen=LOOKAHEAD + 1)  # as they were yielded
     shift = 0.0
+
+    def shifted(item: Stamped[T]) -> Stamped[T]:
+        return Stamped(item.stamp + shift, item.value, item.received) if shift else item
 
     def settle() -> Stamped[T]:
         nonlocal shift
         item = window.popleft()
-        run = [item.stamp + shift, *(later.stamp + shift for later in window)]
-        if len(recent) > SETTLED and len(run) > SETTLED and all(a < b for a, b in pairwise(run)):
-            step = float(np.median(np.diff(recent)))
-            last = max(stamp for stamp in recent if stamp <= np.median(recent) + LOOKAHEAD * step)
-            back = last + step - run[0]
-            if run[SETTLED] <= last and back >= SET_BACK:
-                jumps.append(Jump(last - shift, back))
+        run = [shifted(one) for one in (item, *window)]
+        if len(recent) > SETTLED and len(run) > SETTLED and all(a.stamp < b.stamp for a, b in pairwise(run)):
+            back = _set_back(list(recent), run)
+            if back is not None:
+                jumps.append(Jump(max(one.stamp for one in recent if one.stamp < run[0].stamp + back) - shift, back))
                 shift += back
                 recent.clear()
-        recent.append(item.stamp + shift)
-        return Stamped(recent[-1], item.value) if shift else item
+        recent.append(shifted(item))
+        return recent[-1]
 
     for item in items:
         window.append(item)
@@ -169,6 +177,26 @@ def followed(items: Iterable[Stamped[T]], jumps: list[Jump]) -> Iterator[Stamped
             yield settle()
     while window:
         yield settle()
+
+
+def _set_back(before: Sequence[Stamped[T]], run: Sequence[Stamped[T]]) -> float | None:
+    """By how many seconds a clock was set back between some messages and those that follow; None: it was not set."""
+    stamps = [one.stamp for one in before]
+    step = float(np.median(np.diff(stamps)))
+    last = max((one for one in before if one.stamp <= np.median(stamps) + LOOKAHEAD * step), key=lambda one: one.stamp)
+    back = last.stamp + step - run[0].stamp
+    if run[SETTLED].stamp <= last.stamp and back >= SET_BACK:
+        return back
+    ahead = [
+        np.array([np.nan if one.received is None else one.stamp - one.received for one in some])
+        for some in (before, run[: SETTLED + 1])
+    ]
+    if all(np.ptp(some) < AGREE for some in ahead) and np.median(ahead[1]) - np.median(ahead[0]) >= SET_BACK:
+        assert last.received is not None  # else it would not be a number
+        assert run[0].received is not None
+        steps = max(round((run[0].received - last.received) / step), 1)
+        return back + (steps - 1) * step
+    return None
 
 
 def in_order(items: Iterable[Stamped[T]], skipped: Skipped, where: str) -> Iterator[Stamped[T]]:

@@ -68,7 +68,7 @@ def test_calibration_refines_what_the_images_contradict(views):
     def centre_mm(calibration):
         return calibration.cross_validations[0].means()["mean_centre_error_mm"]
 
-    assert centre_mm(refined) < 1.5 * centre_mm(right)  # that the lens is not known costs something
+    assert centre_mm(refined) < 1.1 * centre_mm(right)  # that the lens is not known costs something
     assert centre_mm(refined) < centre_mm(kept)
     # The principal point is refined too; here it was right, and stays so within a few pixels.
     np.testing.assert_allclose(refined.rig.cameras["cam"].K[:2, 2], BENT.K[:2, 2], atol=6.0)

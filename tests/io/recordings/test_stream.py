@@ -101,6 +101,32 @@ def test_a_clock_that_is_set_back_is_followed(back):
     assert jump.stamp == pytest.approx(true[24], abs=1e-3)
 
 
+@pytest.mark.parametrize("paused", [0.0, 7.0])
+@pytest.mark.parametrize("forward", [0.0, 1.5, 37.0, 1e9])
+def test_a_clock_that_is_set_forward_is_followed_by_the_recorders(forward, paused):
+    """Stamps alone can't tell it from a pause of the recording, which is none."""
+    rng, late = np.random.default_rng(0), np.arange(60) >= 25
+    true = 1.7e9 + 0.1 * np.arange(60) + paused * late
+    shown = true + forward * late + 1e-4 * rng.normal(size=60)
+    received = true + 12.3 + 0.02 * rng.exponential(size=60)
+    items = [Stamped(float(s), k, float(r)) for k, (s, r) in enumerate(zip(shown, received, strict=True))]
+    following = Stream("test", lambda _: iter(items)).following()
+    found = [item.stamp for item in following]
+    np.testing.assert_allclose(found, true, atol=0.1 if paused and forward else 1e-3)
+    assert [jump.seconds for jump in following.jumps] == ([pytest.approx(-forward, abs=0.1)] if forward else [])
+    alone = Stream("test", lambda _: iter([Stamped(item.stamp, item.value) for item in items])).following()
+    assert [item.stamp for item in alone] == list(shown)
+
+
+def test_a_recorders_clock_that_is_none_says_nothing():
+    stamps = [float(k) for k in range(40)]
+    for received in ([0.0] * 40, [0.1 * s for s in stamps], [s + 3.0 * (k % 2) for k, s in enumerate(stamps)]):
+        jumps = []
+        items = [Stamped(s, None, r) for s, r in zip(stamps, received, strict=True)]
+        assert [item.stamp for item in followed(items, jumps)] == stamps
+        assert not jumps
+
+
 def test_late_and_wrong_stamps_are_no_jumps():
     good = [k * 0.1 for k in range(40)]
     for wrong in ([0.3], [2.0, 1.9], [9999.0], [-5.0, -4.9]):
