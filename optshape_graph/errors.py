@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class OptshapeError(Exception):
     """Base class of every exception that the package raises on purpose."""
@@ -45,6 +48,25 @@ def expect(what: str, value: object, *kinds: type) -> None:
     if not isinstance(value, kinds):
         names = " or ".join(kind.__name__ for kind in kinds)
         raise InputError(f"{what}: expected {names}, found {type(value).__name__} {value!r:.40}")
+
+
+@contextmanager
+def importing_matplotlib(extra: str) -> Iterator[None]:
+    """Turn errors of a block that imports matplotlib into errors of this package.
+
+    Args:
+        extra: the extra of this package that brings it.
+
+    Raises:
+        MissingExtraError: matplotlib is absent.
+        InputError: its settings are wrong.
+    """
+    try:
+        yield
+    except ImportError as cause:
+        raise missing_extra("matplotlib", extra, cause) from cause
+    except ValueError as error:  # from its settings, including the environment
+        raise InputError(f"matplotlib does not start: {error} (is the variable MPLBACKEND wrong?)") from error
 
 
 def missing_extra(library: str, extra: str, cause: ImportError) -> MissingExtraError:

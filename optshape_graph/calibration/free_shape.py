@@ -19,7 +19,7 @@ from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.azimuth_grid import level_rings
 from optshape_graph.beam import Beam
 from optshape_graph.edges import extract_edge_points, with_top_and_bottom
-from optshape_graph.errors import EstimationError
+from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors.plane_returns import plane_measurement, returns_on_plane
 from optshape_graph.plane import fit_plane
 from optshape_graph.pose import PoseEstimate, estimate_poses
@@ -121,7 +121,7 @@ def measure_shape(returns: Sequence[Scan], target: Target) -> MeasuredShape:
         target: its drawing: number of vertices, and a rough idea of where they are.
 
     Raises:
-        EstimationError: no scans, or one that determines no pose at all.
+        EstimationError: no scans, or one that determines no pose, or no shape, at all.
     """
     scans = [scan for scan in returns if scan.ring is not None and level_rings(scan)[1] == 0.0]
     if not scans:
@@ -226,7 +226,10 @@ def _free(scan: Scan, target: Target, T: Floats) -> tuple[Floats, Floats]:
         T = np.array(T @ gtsam.Pose3.Expmap(mean[:6]).matrix())
         T[1:3, 3] -= polygon.mean(axis=0)
         x[1:] = (polygon - polygon.mean(axis=0)).ravel()
-        problem = replace(problem, target=Target.from_polygon(polygon, target.name))
+        try:
+            problem = replace(problem, target=Target.from_polygon(polygon, target.name))
+        except InputError as error:
+            raise EstimationError(f"scan '{scan.name}' leaves the target's shape open: {error}") from error
     return x, covariance[6:, 6:]
 
 

@@ -9,10 +9,10 @@ import click
 
 from optshape_graph.cli.html_report import report_option
 from optshape_graph.cli.options import (
-    JSON_FILE,
     columns_option,
     example,
     force_option,
+    journal_option,
     pool_options,
     sensor_option,
 )
@@ -42,8 +42,7 @@ MOST_REJECTED = 3
               help="Built-in name, NAME@AREA in m2, or target file; once for each target to look for.")  # fmt: skip
 @sensor_option
 @columns_option
-@click.option("--json", "json_path", type=JSON_FILE, help="Write the results to this file (- is standard "
-              "output); until it is whole they are kept in FILE.journal, from which a rerun goes on.")  # fmt: skip
+@journal_option
 @pool_options
 @force_option
 @report_option

@@ -9,10 +9,10 @@ import click
 
 from optshape_graph.cli.html_report import report_option
 from optshape_graph.cli.options import (
-    JSON_FILE,
     columns_option,
     example,
     force_option,
+    journal_option,
     pool_options,
     sensor_option,
 )
@@ -42,8 +42,7 @@ BYTES = 12_000
               help="'paper' is the published alternation, for comparison.")  # fmt: skip
 @click.option("--backend", type=click.Choice(["closed-form", "clarabel", "cvxpy"]), default="closed-form",
               show_default=True, help="What solves the relaxation behind the certificate.")  # fmt: skip
-@click.option("--json", "json_path", type=JSON_FILE, help="Write the results to this file (- is standard "
-              "output); until it is whole they are kept in FILE.journal, from which a rerun goes on.")  # fmt: skip
+@journal_option
 @pool_options
 @force_option
 @report_option

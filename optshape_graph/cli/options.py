@@ -132,6 +132,14 @@ def columns_option(function: Callable[..., Any]) -> Callable[..., Any]:
     )(function)  # fmt: skip
 
 
+def journal_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--json FILE` to a command over many scans; it takes the value as `json_path`."""
+    return click.option(
+        "--json", "json_path", type=JSON_FILE, help="Write the results to this file (- is standard output); until it "
+        "is whole they are kept in FILE.journal, from which a rerun goes on.",
+    )(function)  # fmt: skip
+
+
 def force_option(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--force` to a command that writes files; it takes the value as `force`."""
     return click.option("--force", is_flag=True, help="Replace existing files, but never inputs.")(function)

@@ -11,7 +11,7 @@ import numpy as np
 
 from optshape_graph.design.polylines import Drawing, Layer, Polyline
 from optshape_graph.design.sheets import Orientation, Sheet, lay_out, plan
-from optshape_graph.errors import InputError, missing_extra
+from optshape_graph.errors import InputError, importing_matplotlib, missing_extra
 from optshape_graph.io.documents import write_atomically
 
 if TYPE_CHECKING:
@@ -118,13 +118,9 @@ def figure_of(drawing: Drawing, sheet: Sheet) -> Figure:
         MissingExtraError: matplotlib is absent.
         InputError: its settings are wrong.
     """
-    try:
+    with importing_matplotlib("design"):
         from matplotlib.figure import Figure
         from matplotlib.patches import Polygon, Rectangle
-    except ImportError as cause:
-        raise missing_extra("matplotlib", "design", cause) from cause
-    except ValueError as error:  # of its settings, the environment's included
-        raise InputError(f"matplotlib does not start: {error} (is the variable MPLBACKEND wrong?)") from error
     width, height = sheet.size
     x, y = sheet.origin
     figure = Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH))

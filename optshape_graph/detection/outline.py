@@ -93,7 +93,7 @@ def first_look(boundary: Boundary, centroid: Floats, target: Target) -> OutlineF
         target: the template.
     """
     start = np.tile(_centroid(target), (len(_ANGLES), 1))
-    off = _outside(_ANGLES, start, boundary.at - centroid, target)[0]
+    off = _beyond(_turned(_ANGLES, boundary.at - centroid), start, target).max(axis=1)
     rough = np.log1p((off / (0.1 * target.circumradius)) ** 2).sum(axis=1)
     lowest = np.flatnonzero((rough <= np.roll(rough, 1)) & (rough <= np.roll(rough, -1)))
     angle = _ANGLES[lowest[np.argsort(rough[lowest])[:_STARTS]]]
@@ -110,12 +110,9 @@ def look_again(boundary: Boundary, target: Target, T_lidar_target: Floats) -> Ou
     return _work_out(boundary, middle, target, np.array([angle]), np.array([[place @ y, place @ z]]), 0.02)
 
 
-def _outside(angle: Floats, t: Floats, q: Floats, target: Target) -> tuple[Floats, Floats, Floats]:
-    """Return how far points q (M, 2) are outside the outline (K, M), the side's normal, and the turned points."""
-    turned = _turned(angle, q)
-    beyond = (turned + t[:, None]) @ target.normals.T - target.offsets
-    side = beyond.argmax(axis=-1)
-    return np.take_along_axis(beyond, side[..., None], axis=-1)[..., 0], target.normals[side], turned
+def _beyond(turned: Floats, t: Floats, target: Target) -> Floats:
+    """Return how far turned points (K, 2, M), moved by t (K, 2), are beyond each side (K, n, M)."""
+    return np.asarray(target.normals @ (turned + t[..., None]) - target.offsets[:, None])
 
 
 def _work_out(
@@ -135,17 +132,17 @@ def _work_out(
     t, shift = start, np.zeros(len(angle))
     prior = np.diag([0.0, (_PLACE * size) ** -2, (_PLACE * size) ** -2, (_SHIFT * size) ** -2])
     for step in range(_STEPS):
-        off, normal, turned = _outside(angle, t, q, target)
-        off = off - shift[:, None]
-        about = normal[..., 1] * turned[..., 0] - normal[..., 0] * turned[..., 1]
-        J = np.concatenate([about[..., None], normal, -np.ones((*off.shape, 1))], axis=-1)
-        weighted = J / (np.maximum(sd, width * size * 0.4**step) ** 2 + off**2)[..., None]
+        turned = _turned(angle, q)
+        beyond = _beyond(turned, t, target)
+        off, (ny, nz) = beyond.max(axis=1) - shift[:, None], target.normals.T[:, beyond.argmax(axis=1)]
+        J = np.stack([nz * turned[:, 0] - ny * turned[:, 1], ny, nz, -np.ones_like(off)], axis=1)
+        weighted = J / (np.maximum(sd, width * size * 0.4**step) ** 2 + off**2)[:, None]
         drift = np.column_stack([np.zeros(len(angle)), t - start, shift])
-        gradient = (weighted * off[..., None]).sum(axis=1) + drift @ prior
-        information = np.swapaxes(weighted, 1, 2) @ J + prior + 1e-9 * np.eye(_FITTED)
+        gradient = (weighted @ off[..., None])[..., 0] + drift @ prior
+        information = weighted @ np.swapaxes(J, 1, 2) + prior + 1e-9 * np.eye(_FITTED)
         change = np.linalg.solve(information, -gradient[..., None])[..., 0]
         angle, t, shift = angle + change[:, 0], t + change[:, 1:3], shift + change[:, 3]
-    off = _outside(angle, t, q, target)[0] - shift[:, None]
+    off = _beyond(_turned(angle, q), t, target).max(axis=1) - shift[:, None]
     log_odds = _log_odds(off, sd, size, _FITTED) - 0.5 * (shift / (_SHIFT * size)) ** 2
     best = int(log_odds.argmax())
     axes = np.eye(3)
@@ -170,18 +167,18 @@ def rectangle_log_odds(boundary: Boundary, size: float) -> float:
     # At any turn the sides are where most ends lie; the best turns are refined, with turn and sides free.
     angle = np.linspace(0.0, np.pi / 2, 18, endpoint=False)
     turned = _turned(angle, q)
-    inner, outer = np.percentile(turned, [6.0, 94.0], axis=1)
-    off = np.abs(np.concatenate([turned - inner[:, None], outer[:, None] - turned], axis=-1)).min(axis=-1)
+    inner, outer = np.percentile(turned, [6.0, 94.0], axis=2)
+    off = np.minimum(np.abs(turned - inner[..., None]), np.abs(outer[..., None] - turned)).min(axis=1)
     start = np.argsort(np.log1p((off / (0.1 * extent)) ** 2).sum(axis=1))[:_STARTS]
     fitted = np.column_stack([angle, outer, -inner])[start]
     for step in range(_STEPS):
         off, side, turned = _outside_rectangle(fitted, q)
-        normal = _RIGHT_ANGLES[side]
-        about = normal[..., 1] * turned[..., 0] - normal[..., 0] * turned[..., 1]
-        J = np.concatenate([about[..., None], -np.eye(4)[side]], axis=-1)
-        weighted = J / (np.maximum(sd, 0.1 * size * 0.4**step) ** 2 + off**2)[..., None]
-        information = np.swapaxes(weighted, 1, 2) @ J + np.eye(5) * (0.5 * size) ** -2
-        fitted = fitted - np.linalg.solve(information, (weighted * off[..., None]).sum(axis=1)[..., None])[..., 0]
+        ny, nz = _RIGHT_ANGLES.T[:, side]
+        about = nz * turned[:, 0] - ny * turned[:, 1]
+        J = np.concatenate([about[:, None], -1.0 * (side[:, None] == np.arange(4)[:, None])], axis=1)
+        weighted = J / (np.maximum(sd, 0.1 * size * 0.4**step) ** 2 + off**2)[:, None]
+        information = weighted @ np.swapaxes(J, 1, 2) + np.eye(5) * (0.5 * size) ** -2
+        fitted = fitted - np.linalg.solve(information, weighted @ off[..., None])[..., 0]
     return float(_log_odds(_outside_rectangle(fitted, q)[0], sd, size, 5).max())
 
 
@@ -191,15 +188,14 @@ _RIGHT_ANGLES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 def _outside_rectangle(fitted: Floats, q: Floats) -> tuple[Floats, Ints, Floats]:
     """Return how far points are outside rectangles (K, 5) of a turn and four sides (K, M), the side, and the points."""
     turned = _turned(fitted[:, 0], q)
-    beyond = turned @ _RIGHT_ANGLES.T - fitted[:, None, 1:]
-    side = beyond.argmax(axis=-1)
-    return np.take_along_axis(beyond, side[..., None], axis=-1)[..., 0], side, turned
+    beyond = np.concatenate([turned, -turned], axis=1) - fitted[:, 1:, None]
+    return beyond.max(axis=1), beyond.argmax(axis=1), turned
 
 
 def _turned(angle: Floats, q: Floats) -> Floats:
-    """Return points (M, 2) turned by angles (K,), as (K, M, 2)."""
+    """Return points (M, 2) turned by angles (K,), as (K, 2, M)."""
     c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    return np.stack([c * q[:, 0] - s * q[:, 1], s * q[:, 0] + c * q[:, 1]], axis=-1)
+    return np.stack([c * q[:, 0] - s * q[:, 1], s * q[:, 0] + c * q[:, 1]], axis=1)
 
 
 def _log_odds(off: Floats, sd: Floats, size: float, n_fitted: int) -> Floats:

@@ -180,7 +180,9 @@ class TemplateMeasurement(Value):
     @property
     def stack(self) -> Floats:
         """(13, 13) rows [L b; 0 c]: the measurement as thirteen residuals, linear in [z; 1]."""
-        return np.block([[self.L, self.b[:, None]], [np.zeros((1, 12)), np.full((1, 1), self.c)]])
+        stack = np.zeros((13, 13))
+        stack[:12, :12], stack[:12, 12], stack[12, 12] = self.L, self.b, self.c
+        return stack
 
     def __add__(self, other: TemplateMeasurement) -> TemplateMeasurement:
         """Return the measurement of both scans, errors independent, taken at the pose of the first."""

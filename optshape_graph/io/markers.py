@@ -14,7 +14,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.io.files import read_text
-from optshape_graph.io.mocap import UNLABELLED, MocapRecording, read_mocap
+from optshape_graph.io.mocap import UNLABELLED, MocapRecording, form_of, read_mocap
 from optshape_graph.target import LARGEST_EXTENT_M
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -44,8 +44,7 @@ def states_its_units(path: str | Path) -> bool:
     """Return whether a file is a vendor's export, which states its unit of length, and not the CSV of this package."""
     if Path(path).suffix.lower() != ".csv":
         return True
-    first = read_text(path).lstrip("\ufeff \r\n").partition("\n")[0]
-    return first.startswith(("NO_OF_", "Format Version", "Trajectories"))
+    return form_of(read_text(path)) is not None
 
 
 def read_markers(path: str | Path, units: str = "m") -> Markers:

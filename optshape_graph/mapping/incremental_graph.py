@@ -301,7 +301,7 @@ class IncrementalGraph:
         self._places.start(start.covariance)
 
     def begin(self, pose: int, stamp: float, odometry: Odometry) -> Floats:
-        """Begin a pose, its number following the one before, where odometry has it; return the estimate of that one.
+        """Begin a pose, the next by number, where odometry has it; return the estimate (4, 4) of the one before.
 
         Args:
             pose: number of the new pose.

@@ -68,7 +68,8 @@ class Journal:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None and issubclass(kind, Exception) and self.finished:  # not where it was told to stop
+        failed = kind is not None and issubclass(kind, Exception)  # not merely stopped
+        if failed and self.finished and not self._file.closed:  # nor removed
             with suppress(InputError):
                 self._append({"failed": True})
         self.close()

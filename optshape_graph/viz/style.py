@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.errors import InputError, missing_extra
+from optshape_graph.errors import InputError, importing_matplotlib
 from optshape_graph.io.files import write_atomically
 from optshape_graph.names import shown
 
@@ -44,12 +44,8 @@ def new_figure(width: float = 8.0, height: float = 6.0) -> Figure:
         MissingExtraError: matplotlib is absent.
         InputError: its settings are wrong.
     """
-    try:
+    with importing_matplotlib("plot"):
         from matplotlib.figure import Figure
-    except ImportError as cause:
-        raise missing_extra("matplotlib", "plot", cause) from cause
-    except ValueError as error:  # of its settings, the environment's included
-        raise InputError(f"matplotlib does not start: {error} (is the variable MPLBACKEND wrong?)") from error
     return Figure(figsize=(width, height), layout="constrained")
 
 

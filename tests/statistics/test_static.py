@@ -15,7 +15,7 @@ from optshape_graph.pose import estimate_pose
 from optshape_graph.se3 import difference, inverse
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 
-SEED, SCENES, SCANS = 17, 24, 10
+SEED, SCENES, SCANS = 60615, 40, 10
 
 PLACES = {"vlp32c": (3.0, 12.0), "vlp16": (2.5, 6.0), "os1-64": (3.0, 12.0)}
 """Ranges, metres."""

@@ -50,7 +50,7 @@ def read_mocap(path: str | Path) -> MocapRecording:
 
 def form_of(text: str) -> str | None:
     """Return which export of motion capture a text is: "qualisys", "motive", "trc" or "vicon"; None: none of them."""
-    start = text[:4096].lstrip()
+    start = text[:4096].lstrip("\ufeff").lstrip()
     for beginning, form in (("NO_OF_", "qualisys"), ("Format Version", "motive"), ("PathFileType", "trc")):
         if start.startswith(beginning):
             return form
