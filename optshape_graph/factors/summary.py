@@ -179,7 +179,9 @@ def LandmarkFactor(
     Raises:
         InputError: neither a measurement nor an estimate, or an estimate that failed.
     """
-    return _summary(measurement, T_target_lidar).landmark_factor(k_target, as_transform(T_world_lidar, "T_world_lidar"), loss)
+    return _summary(measurement, T_target_lidar).landmark_factor(
+        k_target, as_transform(T_world_lidar, "T_world_lidar"), loss
+    )
 
 
 def _summary(measurement: TemplateMeasurement | Measured, T_target_lidar: PoseLike | None) -> Summary:
