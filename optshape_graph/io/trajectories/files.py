@@ -43,9 +43,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
         return read_rigid_body(*named)
     text = decode(read_bytes(path))
     if is_g2o(text):
-        raise InputError(
-            f"{path}: a pose graph (g2o), whose poses have no stamps; expected a trajectory with them"
-        )
+        raise InputError(f"{path}: a pose graph (g2o), whose poses have no stamps; expected a trajectory with them")
     if form_of(text) == "motive":
         return read_rigid_body(path)
     return read_lines(path, text)
