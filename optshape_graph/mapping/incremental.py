@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.errors import EstimationError, InputError, expect
 from optshape_graph.io.trajectories import Trajectory
 from optshape_graph.mapping.association import Pairing, associate, gated, locate, plain, predictions
 from optshape_graph.mapping.candidates import SINGULAR, Candidates, Outcome, Verdict
 from optshape_graph.mapping.incremental_graph import IncrementalGraph
 from optshape_graph.mapping.map import Map
 from optshape_graph.mapping.track import MappingProblem, Match, Odometry, Sighting, Start, Track
-from optshape_graph.se3 import PoseLike, as_matrix
+from optshape_graph.se3 import PoseLike, as_transform
 
 __all__ = ["LandmarkSlam", "Outcome", "Verdict"]
 
@@ -100,7 +100,7 @@ class LandmarkSlam:
             return len(self._poses)
         newest = len(self._poses)
         if T_previous_current is not None and covariance is not None and newest:
-            odometry = Odometry(newest - 1, newest, as_matrix(T_previous_current), covariance)
+            odometry = Odometry(newest - 1, newest, as_transform(T_previous_current, "T_previous_current"), covariance)
             self._poses[-1] = self._graph.begin(newest, stamp, odometry)
             self._poses.append(self._graph.T_world_lidar(newest))
         elif newest == 0 and self._start is not None:
@@ -116,8 +116,10 @@ class LandmarkSlam:
             What became of each sighting.
 
         Raises:
-            InputError: there is no pose yet.
+            InputError: there is no pose yet, or something else than sightings.
         """
+        for sighting in sightings:
+            expect("sighting", sighting, Sighting)
         if not self._stamps:
             raise InputError("no pose to measure from: begin one with add_odometry")
         if self._floating:
