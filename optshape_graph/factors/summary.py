@@ -179,8 +179,8 @@ def LandmarkFactor(
         loss: robust loss on the distance from the measured pose; None: least squares.
 
     Raises:
-        InputError: neither a measurement nor an estimate, an estimate that failed, a key that is none, or a pose that is
-            none.
+        InputError: neither a measurement nor an estimate, an estimate that failed, a key that is none, or a pose that
+            is none.
     """
     checked_keys(k_target)
     return _summary(measurement, T_target_lidar).landmark_factor(
