@@ -21,7 +21,7 @@ from optshape_graph.calibration.camera.uncertainty import Uncertainty
 from optshape_graph.calibration.exports import Mounted, static_transforms
 from optshape_graph.calibration.free_shape import MeasuredShape, measure_shape
 from optshape_graph.calibration.verdict import Calibration, Finding
-from optshape_graph.errors import EstimationError
+from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.results import Row
 from optshape_graph.se3 import difference, inverse, inverse_covariance, relative_covariance
@@ -100,7 +100,13 @@ class CameraCalibration(Calibration):
             a: a sensor's name.
             b: another's.
             rig: `rig`, which is for clouds as they come (by default), `corrected` or `given`.
+
+        Raises:
+            InputError: no such sensor.
         """
+        for name in (a, b):
+            if name not in self.rig.T_base_sensor:
+                raise InputError(f"no sensor '{name}'; the session has: {', '.join((*self.lidars, *self.cameras))}")
         T, T_likely = (
             inverse(each.T_base_sensor[a]) @ each.T_base_sensor[b] for each in (rig or self.rig, self.most_likely)
         )
@@ -147,8 +153,13 @@ class CameraCalibration(Calibration):
         return [(s, i) for s, i in found if s and i and (s.sensor, i.sensor) == (lidar, camera)]
 
     def directions(self, lidar: str, camera: str) -> list[Direction]:
-        """Return the principal directions of the uncertainty of T_camera_lidar, the worst first."""
-        return principal_directions(self.transform(camera, lidar, self.most_likely)[1], self._middle(lidar))
+        """Return the principal directions of the uncertainty of T_camera_lidar, as it is stated, the worst first."""
+        return principal_directions(self.transform(camera, lidar)[1], self._middle(lidar))
+
+    def most_likely_sigma(self, lidar: str, camera: str) -> float:
+        """Return the standard deviation of the worst direction, metres, of the most likely transform, lens free."""
+        covariance = self.transform(camera, lidar, self.most_likely)[1]
+        return principal_directions(covariance, self._middle(lidar))[0].sigma_m
 
     def next_placement(self, lidar: str, camera: str) -> NextPlacement | None:
         """Suggest where to put the target next; None where the two took no view together."""
