@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from optshape_graph.errors import InputError
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -24,6 +26,21 @@ def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     array = np.array(values, dtype=dtype)
     array.setflags(write=False)
     return array
+
+
+def numbers(what: str, values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
+    """Return what a caller gave as numbers as a read-only array, as `frozen` does.
+
+    Raises:
+        InputError: text, complex numbers, rows of different lengths; `what` names them.
+    """
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind == "c":
+            raise TypeError("complex")
+        return frozen(array, dtype)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{what}: expected real numbers ({error})") from error
 
 
 @overload

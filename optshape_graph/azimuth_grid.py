@@ -64,7 +64,7 @@ def level_rings(scan: Scan) -> tuple[Scan, float]:
 
 def _known(scan: Scan, rings: Ints, mean: Floats, error: Floats) -> tuple[Floats, Bools]:
     """Return each ring's elevation, and whether it is the table's: where the mean is within 5 standard errors of it."""
-    if scan.sensor is None or rings.max() >= scan.sensor.n_rings:
+    if scan.sensor is None:
         return mean, np.zeros(len(rings), dtype=bool)
     table = scan.sensor.elevations[rings]
     known = np.abs(mean - table) < 5 * error

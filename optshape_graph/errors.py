@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import NoneType
 
 
 class OptshapeError(Exception):
@@ -46,7 +47,7 @@ def expect(what: str, value: object, *kinds: type) -> None:
         InputError: none of them.
     """
     if not isinstance(value, kinds):
-        names = " or ".join(kind.__name__ for kind in kinds)
+        names = " or ".join("None" if kind is NoneType else kind.__name__ for kind in kinds)
         raise InputError(f"{what}: expected {names}, found {type(value).__name__} {value!r:.40}")
 
 

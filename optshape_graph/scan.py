@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import NoneType
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from optshape_graph._arrays import Floats, Ints, Value, brief, frozen
-from optshape_graph.errors import InputError
+from optshape_graph._arrays import Floats, Ints, Value, brief, numbers
+from optshape_graph.errors import InputError, expect
 from optshape_graph.sensor import SensorModel
 
 Values = TypeVar("Values", Floats | None, Ints | None)
+
+FARTHEST_M = 500.0
+"""No LiDAR's median return is farther, metres; such a cloud is in millimetres or in a map's coordinates."""
+
+MAP_M = 1e5
+"""From this distance on, metres, coordinates are a map's: as millimetres they would be 100 m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +35,8 @@ class Scan(Value):
         name: where it came from, for messages.
 
     Raises:
-        InputError: shapes that do not fit, or points that are not finite.
+        InputError: shapes that do not fit, points that are not finite, ring numbers that are not integers from 0, or
+            that the sensor does not have.
     """
 
     points: Floats
@@ -39,20 +47,27 @@ class Scan(Value):
     name: str = "scan"
 
     def __post_init__(self) -> None:
-        points = frozen(self.points)
+        expect(f"{self.name}: sensor", self.sensor, SensorModel, NoneType)
+        points = numbers(f"{self.name}: points", self.points)
         if points.ndim != 2 or points.shape[1] != 3:
             raise InputError(f"{self.name}: expected points as N x 3, found shape {points.shape}")
         if not np.isfinite(points).all():
             raise InputError(f"{self.name}: {int((~np.isfinite(points).all(axis=1)).sum())} points are not finite")
         object.__setattr__(self, "points", points)
-        for field, dtype in (("ring", np.int64), ("intensity", np.float64), ("time", np.float64)):
+        for field in ("ring", "intensity", "time"):
             values = getattr(self, field)
             if values is None:
                 continue
-            values = frozen(values, dtype)
+            values = ring_numbers(values, self.name) if field == "ring" else numbers(f"{self.name}: {field}", values)
             if values.shape != (len(points),):
                 raise InputError(f"{self.name}: {len(points)} points but {field} of shape {values.shape}")
             object.__setattr__(self, field, values)
+        sensor = self.sensor
+        if self.ring is not None and sensor is not None and self.ring.max(initial=0) >= sensor.n_rings:
+            raise InputError(
+                f"{self.name}: ring {self.ring.max()}, but sensor '{sensor.name}' has {sensor.n_rings}, "
+                "counted from 0 for the lowest"
+            )
 
     def __len__(self) -> int:
         return len(self.points)
@@ -121,6 +136,48 @@ def moved(points: Floats, ring: Ints, range_bias: Floats, elevation: Floats, azi
     up = np.arctan2(z, flat) + elevation[ring]
     left = np.arctan2(y, x) + azimuth[ring]
     return np.column_stack([r * np.cos(up) * np.cos(left), r * np.cos(up) * np.sin(left), r * np.sin(up)])
+
+
+def ring_numbers(ids: ArrayLike, name: str) -> Ints:
+    """Return ring numbers (N,) as a read-only array of integers.
+
+    Raises:
+        InputError: a number that is negative, too large, or not an integer; `name` is the scan's.
+    """
+    found = np.asarray(ids)
+    if found.dtype.kind not in "biuf":
+        found = numbers(f"{name}: ring", ids)
+    wrong = ~((found >= 0) & (found < 1 << 16))  # of NaN too
+    if found.dtype.kind == "f":
+        wrong |= found != np.trunc(found)
+    if wrong.any():
+        raise InputError(f"{name}: expected ring numbers as integers from 0, found {found[wrong][0]}")
+    return numbers(f"{name}: ring", found, np.int64)
+
+
+def not_in_metres(points: Floats, squared: Floats | None = None) -> str:
+    """Return what shows that points are in millimetres, or in coordinates of a map; "" for returns as they should be.
+
+    Args:
+        points: (N, 3) what are to be metres, LiDAR frame.
+        squared: (N,) squares of their ranges, if known: of metres too.
+    """
+    if squared is None:
+        squared = np.einsum("ij,ij->i", points, points)
+    if 2 * np.count_nonzero(squared > FARTHEST_M**2) < max(len(points), 1):
+        return ""
+    distance = float(np.sqrt(np.median(squared)))
+    centre = np.median(points, axis=0)
+    spread = float(np.median(np.linalg.norm(points - centre, axis=1)))
+    far = f"half of the returns are beyond {distance:.0f} m; expected metres"
+    if float(np.linalg.norm(centre)) < spread:  # they are all around
+        return f"{far} (millimetres? a CSV may say so: 'x (mm)')"
+    if distance > MAP_M:
+        return (
+            f"half of the returns are within {spread:.0f} m of ({centre[0]:.0f}, {centre[1]:.0f}, {centre[2]:.0f}): "
+            "coordinates of a map (UTM, ...); expected metres from the LiDAR, as it measured them"
+        )
+    return f"{far} from the LiDAR (millimetres, or coordinates of a map?)"
 
 
 def rings_missing(scan: Scan) -> InputError:

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
-from optshape_graph import InputError, Scan
-from optshape_graph.scan import without_duplicates
+from optshape_graph import InputError, Scan, SensorModel
+from optshape_graph.scan import not_in_metres, without_duplicates
 
 
 def test_select_keeps_fields_together() -> None:
@@ -26,11 +27,37 @@ def test_select_keeps_fields_together() -> None:
         (np.zeros((3, 2)), None, "N x 3"),
         (np.full((2, 3), np.nan), None, "2 points are not finite"),
         (np.zeros((3, 3)), np.zeros(2), "3 points but ring"),
+        ([["a", "b", "c"]], None, "points: expected real numbers"),
+        ([[1.0, 2.0, 3.0], [1.0]], None, "points: expected real numbers"),
+        (np.zeros((2, 3), complex), None, "points: expected real numbers"),
+        (np.zeros((2, 3)), [0, np.nan], "ring numbers as integers from 0, found nan"),
+        (np.zeros((2, 3)), [0, 1.5], r"ring numbers as integers from 0, found 1\.5"),
+        (np.zeros((2, 3)), [0, -1], "ring numbers as integers from 0, found -1"),
+        (np.zeros((2, 3)), ["0", "b"], "ring: expected real numbers"),
     ],
 )
-def test_what_is_no_scan(points: np.ndarray, ring: np.ndarray | None, message: str) -> None:
+@pytest.mark.filterwarnings("error")  # NumPy's casts
+def test_what_is_no_scan(points: ArrayLike, ring: ArrayLike | None, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        Scan(points, ring)
+        Scan(points, ring)  # type: ignore[arg-type]  # on purpose
+
+
+def test_rings_are_those_of_the_sensor() -> None:
+    sensor = SensorModel(np.radians([-1.0, 0.0, 1.0]), name="three")
+    assert Scan(np.ones((2, 3)), [0.0, 2.0], sensor=sensor).ring.tolist() == [0, 2]  # type: ignore[arg-type, union-attr]
+    with pytest.raises(InputError, match="ring 3, but sensor 'three' has 3, counted from 0 for the lowest"):
+        Scan(np.ones((2, 3)), np.array([0, 3]), sensor=sensor)
+
+
+@pytest.mark.parametrize(
+    ("factor", "shift", "found"),
+    [(1000.0, 0.0, "expected metres"), (1.0, 4e5, "coordinates of a map"), (10.0, 0.0, "")],
+)
+def test_millimetres_are_told(factor: float, shift: float, found: str) -> None:
+    around = np.linspace(0, 2 * np.pi, 50)
+    points = factor * np.column_stack([6 * np.cos(around), 6 * np.sin(around), 0 * around]) + shift
+    assert found in not_in_metres(points)
+    assert bool(not_in_metres(points)) == bool(found)
 
 
 def test_scans_are_equal_by_value() -> None:

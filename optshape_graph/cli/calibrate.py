@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from optshape_graph.cli.console import say, say_passed_over, warn
+from optshape_graph.cli.console import say_passed_over, warn
 from optshape_graph.cli.html_report import conclude
 from optshape_graph.cli.lazy import LazyGroup
 from optshape_graph.cli.options import JSON_FILE, Number
@@ -83,5 +83,4 @@ def conclude_calibration(
         say_passed_over(passed_over)
     for warning in calibration.warnings:
         warn(f"warning: {warning}")
-    say(f"The calibration is {calibration.verdict}.")
     conclude(calibration.to_dict(), html, pictures.paths if pictures else ())

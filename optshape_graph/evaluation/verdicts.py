@@ -6,12 +6,13 @@ They are made from a result's plain form (`to_dict`, or its JSON file), so that 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
+from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
 
 Level = Literal["Good", "Usable with care", "Not usable"]
@@ -30,6 +31,26 @@ MOSTLY = 0.9
 
 TOO_SURE = 1.25
 """Covariances count as too small if the normalised error squared exceeds this, per degree of freedom."""
+
+LOOK_AT = {
+    "surface": "whether the target is flat",
+    "raised frame": "the frame around the target",
+    "mixed ends": "what touches the target's outline",
+    "off the plane": "what else is among the returns",
+    "two sheets": "whether anything moved",
+    "edges": "whether this is the target's shape, and nothing moved",
+    "strain": "whether anything moved, and the target is built as drawn",
+    "size": "the target's size",
+    "run of ends": "what hides a part of the target",
+    "cut": "how the returns were cut out",
+    "cut short": "how the returns were cut out",
+    "missing side": "how the returns were cut out",
+    "missing rings": "how the returns were cut out",
+    "outside": "what else is among the returns",
+    "frame": "whether the points are in the sensor's own frame",
+    "mirrored": "how the target hangs",
+}
+"""What to look at first, by the kind of a fit's flag."""
 
 OUTSTANDING = 3.0
 """A scan is named if its error is so many times the median."""
@@ -75,8 +96,8 @@ def kind_of(document: Mapping[str, Any]) -> str:
     return str(document.get("schema", "")).removeprefix("optshape/").partition("/")[0]
 
 
-def _counted(count: int, one: str, more: str) -> str:
-    return f"{count} {one if count == 1 else more}"
+def _counted(count: int, one: str, more: str = "") -> str:
+    return f"{count} {one if count == 1 else more or one + 's'}"
 
 
 def _estimate(document: Mapping[str, Any]) -> Verdict:
@@ -87,12 +108,16 @@ def _estimate(document: Mapping[str, Any]) -> Verdict:
         str(flag["kind"])
         for scan in scans
         for flag in (scan.get("fit") or {}).get("flags", ())
-        if scan["status"] != "ok"
+        if scan["status"] == "doubtful"
     )
     advice = []
+    others = sum("not this target" in (scan.get("reason") or "") for scan in scans if scan["status"] == "failed")
+    if others:
+        advice.append(f"check --target: the returns of {_counted(others, 'scan')} do not fit it")
     if reasons:
         kind, count = reasons.most_common(1)[0]
-        advice.append(f"look at '{kind}' first, which makes {count} of the scans doubtful")
+        doubtful = _counted(count, "scan is doubtful", "scans are doubtful")
+        advice.append(f"look at {LOOK_AT.get(kind, repr(kind))} first: {doubtful} for it ('{kind}')")
     counted = [scan for scan in scans if scan["status"] != "ok" and scan["n_returns"] is not None]
     few = [scan for scan in counted if scan["n_returns"] < FEW_RETURNS]
     if few:
@@ -100,7 +125,9 @@ def _estimate(document: Mapping[str, Any]) -> Verdict:
         advice.append(f"{have} fewer than {FEW_RETURNS} returns: nearer, or a larger target")
     if any(scan["status"] == "ambiguous" for scan in scans):
         advice.append("where a scan is ambiguous take a nearer one, a less symmetric target, or add scans of the place")
-    return _of_share(len(ok), len(scans), "scans have a pose to be relied on", sizes, advice)
+    return _of_share(
+        len(ok), len(scans), f"{'scan has' if len(scans) == 1 else 'scans have'} a pose to be relied on", sizes, advice
+    )
 
 
 def _detect(document: Mapping[str, Any]) -> Verdict:
@@ -124,11 +151,11 @@ def _detect(document: Mapping[str, Any]) -> Verdict:
         )
         advice.append(f"{doubtful} in the table")
     if not found:
-        return Verdict("Not usable", f"no target was found in {_counted(len(scans), 'scan', 'scans')}", tuple(advice))
+        return Verdict("Not usable", f"no target was found in {_counted(len(scans), 'scan')}", tuple(advice))
     return _of_share(
         len(ok),
         len(found),
-        f"targets found in {_counted(len(scans), 'scan', 'scans')} are to be relied on",
+        f"targets found in {_counted(len(scans), 'scan')} are to be relied on",
         _sizes(ok),
         advice,
     )
@@ -188,8 +215,8 @@ def _rig(document: Mapping[str, Any]) -> Verdict:
     sd = np.array([np.sqrt(np.abs(np.diag(np.array(pair["covariance"])))) for pair in pairs])
     placements = len({one["placement"] for one in document.get("sightings", ()) if one["used"]})
     sentence = (
-        f"{len(pairs)} pairs of sensors by {placements} placements, known to {1e3 * sd[:, 3:].max():.1f} mm and "
-        f"{np.degrees(sd[:, :3].max()):.3f} deg (largest standard deviation)"
+        f"{_counted(len(pairs), 'pair')} of sensors by {_counted(placements, 'placement')}, known to "
+        f"{1e3 * sd[:, 3:].max():.1f} mm and {np.degrees(sd[:, :3].max()):.3f} deg (largest standard deviation)"
     )
     return Verdict(_level(document["verdict"], warnings, placements), sentence, tuple(warnings))
 
@@ -204,9 +231,12 @@ def _map(document: Mapping[str, Any]) -> Verdict:
         f", known to {np.median(sd):.1f} mm (median of the largest standard deviation), the worst to {max(sd):.1f} mm"
     )
     poses = len(document.get("trajectory", ()))
-    sentence = f"{len(landmarks)} landmarks{known if sd else ''}; {poses} poses of the trajectory"
+    sentence = f"{_counted(len(landmarks), 'landmark')}{known if sd else ''}; {poses} poses of the trajectory"
     advice = (
-        [f"{len(once)} landmarks were seen in one scan only ({', '.join(once[:3])}): drive past them again"]
+        [
+            f"{_counted(len(once), 'landmark was', 'landmarks were')} seen in one scan only ({', '.join(once[:3])}): "
+            "drive past again"
+        ]
         if once
         else []
     )
@@ -302,14 +332,19 @@ def _sizes(entries: list[Any]) -> str:
     distances = np.linalg.norm(T[:, :3, 3], axis=1)
     variances = np.diagonal(C, axis1=1, axis2=2)
     return (
-        f", at {distances.min():.1f} to {distances.max():.1f} m; standard deviations of up to "
+        f", at {_span(distances, 1)} m; standard deviations of up to "
         f"{1e3 * np.sqrt(variances[:, 3:].max()):.1f} mm and {np.degrees(np.sqrt(variances[:, :3].max())):.2f} deg"
     )
 
 
+def _span(values: Sequence[float] | Floats, digits: int) -> str:
+    """Return the smallest and the largest of values, or one number where they look the same."""
+    return " to ".join(dict.fromkeys(f"{value:.{digits}f}" for value in (min(values), max(values))))
+
+
 def _ranges(views: list[Any]) -> str:
     distances = [view["distance_m"] for view in views if view.get("distance_m")]
-    return f"; range {min(distances):.0f} to {max(distances):.0f} m covered" if distances else ""
+    return f"; range {_span(distances, 0)} m covered" if distances else ""
 
 
 _JUDGES: dict[str, Callable[[Mapping[str, Any]], Verdict]] = {

@@ -9,6 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError
+from optshape_graph.factors._rows import checked_keys
 from optshape_graph.se3 import adjoint, inverse
 
 Residual = Callable[[gtsam.Values], tuple[Floats, Sequence[Floats]]]
@@ -28,8 +29,10 @@ def CheckedFactor(function: Residual, n_rows: int, keys: Sequence[int], dims: Se
         dims: tangent dimension of each variable.
 
     Raises:
+        InputError: keys that are no keys, or the same twice.
         EstimationError: at evaluation, when the function returns what GTSAM cannot take.
     """
+    checked_keys(*keys)
     shapes = [(n_rows, dim) for dim in dims]
 
     def evaluate(this: gtsam.CustomFactor, values: gtsam.Values, H: gtsam.JacobianVector | None) -> Floats:

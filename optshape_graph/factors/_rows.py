@@ -31,6 +31,17 @@ def checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
     return array
 
 
+def checked_keys(*keys: int) -> None:
+    """Raise an InputError unless keys are those of different variables, as GTSAM takes them."""
+    for key in keys:
+        if not isinstance(key, int | np.integer) or not 0 <= key < 1 << 64:
+            raise InputError(
+                f"key: expected a number, as gtsam.symbol_shorthand makes it; found {type(key).__name__} {key!r:.40}"
+            )
+    if len(set(keys)) < len(keys):
+        raise InputError(f"keys {', '.join(map(str, keys))}: expected a different one for each variable")
+
+
 def triangular(stack: Floats) -> Floats:
     """Return the (n, n) upper triangular factor of rows (m, n): the same quadratic form, whatever m is.
 

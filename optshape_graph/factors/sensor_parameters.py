@@ -152,9 +152,9 @@ def SensorParameterFactor(
         k_parameters: keys of the k parameters, each a `double` variable.
 
     Raises:
-        InputError: another number of keys than of parameters.
+        InputError: another number of keys than of parameters, or keys that are none or the same.
     """
-    poses = (k_pose,) if isinstance(k_pose, int) else k_pose
+    poses = k_pose if isinstance(k_pose, tuple) else (k_pose,)
     if len(k_parameters) != measurement.n_parameters:
         raise InputError(f"{len(k_parameters)} keys for {measurement.n_parameters} sensor parameters")
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._callback import CheckedFactor, relative_pose
-from optshape_graph.factors._rows import checked, marginalised, root, triangular
+from optshape_graph.factors._rows import checked, checked_keys, marginalised, root, triangular
 from optshape_graph.factors.measurement import TemplateMeasurement
 from optshape_graph.se3 import PoseLike, as_matrix, as_transform, skew
 
@@ -145,9 +145,9 @@ def ShapeFactor(
         k_vertices: keys of the n vertices, Point3 of the target frame, counter-clockwise seen from +x.
 
     Raises:
-        InputError: another number of keys than of edges.
+        InputError: another number of keys than of edges, or keys that are none or the same.
     """
-    poses = (k_pose,) if isinstance(k_pose, int) else k_pose
+    poses = k_pose if isinstance(k_pose, tuple) else (k_pose,)
     if len(k_vertices) != measurement.n_edges:
         raise InputError(f"{len(k_vertices)} vertex keys for a target of {measurement.n_edges} edges")
 
@@ -168,7 +168,11 @@ def TemplatePrior(vertex: ArrayLike, k_vertex: int, sigma: float) -> gtsam.Prior
         vertex: (3,) template vertex, metres, target frame.
         k_vertex: key of the Point3 variable.
         sigma: standard deviation in the plane, metres: how well the target was built. Across it, RIGID_SIGMA_M.
+
+    Raises:
+        InputError: another vertex than three numbers, or a key that is none.
     """
+    checked_keys(k_vertex)
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([RIGID_SIGMA_M, sigma, sigma]))
     return gtsam.PriorFactorPoint3(k_vertex, checked("vertex", vertex, (3,)), noise)
 
@@ -184,8 +188,9 @@ def VertexFactor(vertex: ArrayLike, k_target: int, k_vertex: int) -> gtsam.Beari
         k_vertex: key of the vertex in the world frame.
 
     Raises:
-        InputError: a vertex at the target's origin.
+        InputError: a vertex at the target's origin, or keys that are none or the same.
     """
+    checked_keys(k_target, k_vertex)
     v = checked("vertex", vertex, (3,))
     reach = float(np.linalg.norm(v))
     if not reach > RIGID_SIGMA_M:
@@ -201,7 +206,11 @@ def FreeVertexFactor(k_target: int, k_vertex: int, k_world: int) -> gtsam.Refere
         k_target: key of T_world_target.
         k_vertex: key of the vertex in the target frame, a Point3.
         k_world: key of the vertex in the world frame, a Point3.
+
+    Raises:
+        InputError: keys that are none or the same.
     """
+    checked_keys(k_target, k_vertex, k_world)
     noise = gtsam.noiseModel.Isotropic.Sigma(3, RIGID_SIGMA_M)
     # GTSAM's frames are the other way round: its transform maps what it calls global into what it calls local.
     return gtsam.ReferenceFrameFactorPoint3Pose3(k_vertex, k_target, k_world, noise)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.factors._rows import factored, gaussian
+from optshape_graph.factors._rows import checked_keys, factored, gaussian
 from optshape_graph.factors.measurement import Measured, TemplateMeasurement, measurement_of
 from optshape_graph.se3 import PoseLike, adjoint, as_matrix, as_transform, inverse, vec, vec_derivative
 
@@ -155,8 +155,10 @@ def SummaryFactor(
         loss: robust loss on the distance from the measured pose (6 degrees of freedom); None: least squares.
 
     Raises:
-        InputError: neither a measurement nor an estimate, or an estimate that failed.
+        InputError: neither a measurement nor an estimate, an estimate that failed, keys that are none or the same, or
+            a pose that is none.
     """
+    checked_keys(k_target, k_lidar)
     return _summary(measurement, T_target_lidar).factor(k_target, k_lidar, loss)
 
 
@@ -177,15 +179,17 @@ def LandmarkFactor(
         loss: robust loss on the distance from the measured pose; None: least squares.
 
     Raises:
-        InputError: neither a measurement nor an estimate, or an estimate that failed.
+        InputError: neither a measurement nor an estimate, an estimate that failed, a key that is none, or a pose that
+            is none.
     """
+    checked_keys(k_target)
     return _summary(measurement, T_target_lidar).landmark_factor(
         k_target, as_transform(T_world_lidar, "T_world_lidar"), loss
     )
 
 
 def _summary(measurement: TemplateMeasurement | Measured, T_target_lidar: PoseLike | None) -> Summary:
-    at = None if T_target_lidar is None else as_matrix(T_target_lidar)[None]
+    at = None if T_target_lidar is None else as_transform(T_target_lidar, "T_target_lidar")[None]
     return summarise([measurement_of(measurement)], at)[0]
 
 

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats
 from optshape_graph.factors._callback import CheckedFactor, relative_pose
-from optshape_graph.factors._rows import checked, gaussian
+from optshape_graph.factors._rows import checked, checked_keys, gaussian
 from optshape_graph.factors.measurement import Measured, TemplateMeasurement, measurement_of
-from optshape_graph.se3 import PoseLike, vec, vec_derivative
+from optshape_graph.se3 import PoseLike, as_transform, vec, vec_derivative
 
 # Where z and the constant 1 sit in vec of the 4 x 4 matrix, column-major.
 _Z = np.array([0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14])
@@ -44,11 +44,17 @@ def TemplateFactor(
         T_b_lidar: (4, 4) known transform on the right; None: the identity.
 
     Raises:
-        InputError: neither a measurement nor an estimate, or an estimate that failed.
+        InputError: neither a measurement nor an estimate, an estimate that failed, a key that is none, or a transform
+            that is none.
     """
+    checked_keys(key)
     measurement = measurement_of(measurement)
     if T_target_a is not None or T_b_lidar is not None:
-        measurement = measurement.substituted(np.eye(4) if T_target_a is None else T_target_a, T_b_lidar)
+        left, right = (
+            np.eye(4) if T is None else as_transform(T, name)
+            for name, T in (("T_target_a", T_target_a), ("T_b_lidar", T_b_lidar))
+        )
+        measurement = measurement.substituted(left, right)
     S = np.zeros((16, 16))
     S[:12, _Z] = measurement.L
     S[:12, _ONE] = measurement.b
@@ -66,7 +72,7 @@ def TemplateCallbackFactor(measurement: TemplateMeasurement | Measured, *keys: i
         keys: that of T_target_lidar, or those of T_world_target and T_world_lidar.
 
     Raises:
-        InputError: neither a measurement nor an estimate, or an estimate that failed.
+        InputError: neither a measurement nor an estimate, an estimate that failed, or keys that are none or the same.
     """
     exact = measurement_of(measurement)
 
@@ -99,6 +105,7 @@ def PointToEdgeFactor(
         plane_sigma: standard deviation across the plane, metres; None: the point says nothing about the plane.
         loss: robust loss on the point as a whole; None: least squares.
     """
+    checked_keys(key)
     n = np.append(0.0, checked("normal", normal, (2,)))
     foot, along = offset * n, np.cross([1.0, 0.0, 0.0], n)
     across_plane = ALONG if plane_sigma is None else 1.0 / plane_sigma
@@ -117,5 +124,6 @@ def PointToPlaneFactor(
         sigma: standard deviation across the plane, metres.
         loss: robust loss; None: least squares.
     """
+    checked_keys(key)
     S = np.diag([1.0 / sigma, ALONG, ALONG])
     return gtsam.KnownLandmarkFactor2Pose3(key, checked("point", point, (3,)), np.zeros(3), gaussian(S, loss))

@@ -17,7 +17,7 @@ from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.paper import find_as_paper
 from optshape_graph.pose.result import Ambiguity, PoseEstimate, Status
 from optshape_graph.pose.rings import find_by_rings
-from optshape_graph.scan import Scan, put_right, without_duplicates
+from optshape_graph.scan import Scan, not_in_metres, put_right, without_duplicates
 from optshape_graph.se3 import inverse, inverse_covariance
 from optshape_graph.target import Target
 
@@ -52,8 +52,8 @@ def estimate_pose(
 
     Raises:
         InputError: a method or a backend that does not exist, or something else than a scan, a target and options.
-        EstimationError: the returns determine no pose at all: none, fewer than three, all on a line, no
-            azimuth step to be found.
+        EstimationError: the returns determine no pose at all: none, fewer than three, all on a line, not in metres,
+            no azimuth step to be found.
     """
     expect("scan", scan, Scan)
     expect("target", target, Target)
@@ -121,6 +121,8 @@ def _measured(scan: Scan, target: Target, method: Method, options: PoseOptions) 
     """Put a scan right, and measure what is known of it whatever the pose."""
     if method == "paper" and scan.ring is None:
         return EstimationError(f"{scan.name}: edge points need rings, and the cloud has none")
+    if objection := not_in_metres(scan.points):
+        return EstimationError(objection)
     try:
         whole, duplicates = without_duplicates(put_right(scan))
         return measure(whole, target, options, duplicates, as_recorded=method == "paper")

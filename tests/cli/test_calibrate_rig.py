@@ -88,7 +88,7 @@ def test_a_sensor_file_of_another_model(session):
     result = run(changed(session, other, "other.yaml"), "--use-target-points")
     assert result.return_value == 3
     assert "scans skipped: unusable file" in result.output
-    assert "The calibration is not to be trusted." in result.output
+    assert "Not usable: " in result.output
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,8 @@ FILES: dict[str, tuple[str, str | bytes, tuple[str, ...]]] = {
     "angles": ("a.csv", "Laser id,Elevation,Azimuth\n1,10,2\n2,0,-1\n3,-10,0.5\n", ("sensor, a maker's table", "rings", "3")),
     "a trajectory": ("a.txt", odd.TUM, ("trajectory (--odometry takes it)", "poses", "2", "10.0 Hz")),
     "EuRoC": ("data.csv", odd.EUROC + odd.LATER, ("trajectory", "from 2023-11-14T22:13:20")),
+    "KITTI": ("a.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n" * 2, ("trajectory without stamps (KITTI;", "poses  2")),
+    "a pose graph": ("a.txt", "VERTEX_SE3:QUAT 3 0 0 0 0 0 0 1\nFIX 3\n", ("pose graph (g2o;", "vertices  1", "fixed     1")),
     "motion capture": ("a.trc", odd.TRC, ("TRC motion capture", "A, B", "100 Hz", "25.0% of all positions")),
     "rigid bodies": ("a.csv", odd.BODIES.format(kind="Rigid Body"), ("Motive motion capture", "Board", "markers", "none")),
     "markers": ("a.csv", "frame,marker,x,y,z\n0,a,1,2,3\n0,b,1,2.5,3\n", ("markers (session key `mocap`)", "a, b")),

@@ -1,13 +1,17 @@
 """One file, whole, safe and readable: parsed as HTML, with nothing fetched from anywhere."""
 
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from optshape_graph import InputError
-from optshape_graph.evaluation.verdicts import verdict_of
+from optshape_graph import InputError, estimate_pose, load_sensor, load_target
+from optshape_graph.evaluation.verdicts import LOOK_AT, verdict_of
+from optshape_graph.pose import fit
+from optshape_graph.simulation import pose_from_rpy, simulate_target
 from optshape_graph.viz.report import caption_of, plan_view, write_report
 
 COVARIANCE = np.diag([1e-4, 1e-4, 1e-4, 1e-6, 4e-6, 1e-6]).tolist()
@@ -30,7 +34,7 @@ def scan(name, status="ok", x=5.0, flags=(), n=100):
 ESTIMATE = {"schema": "optshape/estimate/1", "scans": [scan("a.pcd"), scan("b.pcd", x=9.0)]}
 DOUBTFUL = {
     "schema": "optshape/estimate/1",
-    "scans": [scan("a.pcd"), scan("b.pcd", "ambiguous", flags=["surface"]), scan("<b>&.pcd", "ambiguous", n=9)],
+    "scans": [scan("a.pcd"), scan("b.pcd", "doubtful", flags=["surface"]), scan("<b>&.pcd", "ambiguous", n=9)],
 }
 MOCAP = {
     "schema": "optshape/mocap/1", "verdict": "to be trusted", "warnings": [],
@@ -128,18 +132,37 @@ def test_a_good_result_is_good():
         "Good: 2 of 2 scans have a pose to be relied on, at 5.0 to 9.0 m; "
         "standard deviations of up to 2.0 mm and 0.57 deg"
     )
+    one = {**ESTIMATE, "scans": ESTIMATE["scans"][:1]}
+    assert verdict_of(one).line.startswith("Good: 1 of 1 scan has a pose to be relied on, at 5.0 m; standard")
     assert verdict_of(MOCAP).line.startswith("Good: 6 scans agree with the markers to 4.7 mm and 0.60 deg")
 
 
 def test_a_doubtful_one_says_what_to_do():
     verdict = verdict_of(DOUBTFUL)
     assert verdict.level == "Not usable"
-    assert verdict.advice[0] == "look at 'surface' first, which makes 1 of the scans doubtful"
+    assert verdict.advice[0] == "look at whether the target is flat first: 1 scan is doubtful for it ('surface')"
     assert "fewer than 30 returns: nearer, or a larger target" in verdict.advice[1]
     few = {**MOCAP, "scans": MOCAP["scans"][:3]}
     assert verdict_of(few).level == "Usable with care"
     assert verdict_of({**MOCAP, "verdict": "not to be trusted"}).level == "Not usable"
-    assert verdict_of(MAP).advice == ("1 landmarks were seen in one scan only (A): drive past them again",)
+    assert verdict_of(MAP).advice == ("1 landmark was seen in one scan only (A): drive past again",)
+
+
+def test_another_target_is_told():
+    """Of a scan that failed no flag is named: what is to be checked is the target."""
+    T = pose_from_rpy([5.0, 0.1, 0.0], [0.1, 0.2, 0.1])
+    scan = replace(simulate_target(load_target("triangle"), load_sensor("vlp32c"), T), name="a.pcd")
+    estimate = estimate_pose(scan, load_target("square"))
+    assert estimate.status == "failed"
+    assert estimate.fit.flags
+    verdict = verdict_of({"schema": "optshape/estimate/1", "scans": [estimate.to_dict()]})
+    assert verdict.advice[0] == "check --target: the returns of 1 scan do not fit it"
+    assert not any("doubtful" in advice for advice in verdict.advice)
+
+
+def test_every_flag_has_what_to_look_at():
+    source = (Path(fit.__file__)).read_text()
+    assert set(re.findall(r'Flag\("([^"]+)"', source)) <= LOOK_AT.keys()
 
 
 def test_an_evaluation_says_where_it_fails():
@@ -172,7 +195,7 @@ def test_nothing_found_is_not_usable():
         "scans": [{"scan": "a", "targets": [], "rejected": [{"reason": "size: 2 m"}]}],
     }
     assert verdict_of(empty).line == (
-        "Not usable: no target was found in 1 scans; nothing was found in 1 of 1 scans (mostly rejected: size)"
+        "Not usable: no target was found in 1 scan; nothing was found in 1 of 1 scans (mostly rejected: size)"
     )
 
 

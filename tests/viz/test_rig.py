@@ -44,5 +44,5 @@ def test_it_is_shown_in_space_and_as_a_report(result, tmp_path):
     names = [item.name for item in spatial(tmp_path / "rig.json").items]
     assert {"sensors/front/axes", "sensors/left/axes", "sensors/left/3 sd", "next placement"} <= set(names)
     verdict = write_report(tmp_path / "rig.html", result.to_dict())
-    assert "1 pairs of sensors" in verdict.sentence
+    assert "1 pair of sensors" in verdict.sentence
     assert "T_front_left" in (tmp_path / "rig.html").read_text()

@@ -21,7 +21,7 @@ from optshape_graph.calibration.camera.uncertainty import Uncertainty
 from optshape_graph.calibration.exports import Mounted, static_transforms
 from optshape_graph.calibration.free_shape import MeasuredShape, measure_shape
 from optshape_graph.calibration.verdict import Calibration, Finding
-from optshape_graph.errors import EstimationError
+from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.results import Row
 from optshape_graph.se3 import difference, inverse, inverse_covariance, relative_covariance
@@ -100,7 +100,13 @@ class CameraCalibration(Calibration):
             a: a sensor's name.
             b: another's.
             rig: `rig`, which is for clouds as they come (by default), `corrected` or `given`.
+
+        Raises:
+            InputError: no such sensor.
         """
+        for name in (a, b):
+            if name not in self.rig.T_base_sensor:
+                raise InputError(f"no sensor '{name}'; the session has: {', '.join((*self.lidars, *self.cameras))}")
         T, T_likely = (
             inverse(each.T_base_sensor[a]) @ each.T_base_sensor[b] for each in (rig or self.rig, self.most_likely)
         )

@@ -16,7 +16,7 @@ from optshape_graph.io.clouds.columns import Columns
 from optshape_graph.io.clouds.npz import read_npy, read_npz
 from optshape_graph.io.clouds.pcd import read_pcd, write_pcd
 from optshape_graph.io.clouds.ply import read_ply
-from optshape_graph.io.clouds.scans import integers, make_scan
+from optshape_graph.io.clouds.scans import make_scan
 from optshape_graph.io.clouds.text import read_csv
 from optshape_graph.io.files import read_bytes, read_head
 from optshape_graph.scan import Scan
@@ -104,8 +104,8 @@ def read_scan(
         unused: counter, by name, of columns that do not go into the scan.
 
     Raises:
-        InputError: an unknown form, a file that is damaged or of another form than it seems, or columns that do not
-            make a scan.
+        InputError: an unknown form, a file that is damaged or of another form than it seems, columns that do not make
+            a scan, or a sensor that is no SensorModel.
         MissingExtraError: the library for LAS or E57 is absent.
     """
     expect("path", path, str, Path)
@@ -119,8 +119,7 @@ def write_scan(path: str | Path, scan: Scan) -> None:
     become 16-bit integers.
 
     Raises:
-        InputError: a path that does not end in .pcd, rings that are not counted from 0, or a file that cannot be
-            written.
+        InputError: a path that does not end in .pcd, or a file that cannot be written.
     """
     if Path(path).suffix.lower() != ".pcd":
         raise InputError(f"{path}: expected a name ending in .pcd")
@@ -128,7 +127,7 @@ def write_scan(path: str | Path, scan: Scan) -> None:
     if scan.intensity is not None:
         columns["intensity"] = scan.intensity.astype("<f4")
     if scan.ring is not None:
-        columns["ring"] = integers(scan.ring, str(path)).astype("<u2")
+        columns["ring"] = scan.ring.astype("<u2")
     if scan.time is not None:
         columns["time"] = scan.time.astype("<f4")
     write_pcd(path, columns)

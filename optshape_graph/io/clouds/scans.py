@@ -5,26 +5,21 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections import Counter
+from types import NoneType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optshape_graph._arrays import Bools, Floats, Ints, owned
-from optshape_graph.errors import InputError
+from optshape_graph.errors import InputError, expect
 from optshape_graph.io.clouds.columns import Columns, Role, roles
 from optshape_graph.io.clouds.rings import rings_by_firing, rings_of_elevations, rings_of_ids
 from optshape_graph.io.times import seconds_of_points
-from optshape_graph.scan import Scan, put_right
+from optshape_graph.scan import Scan, not_in_metres, put_right, ring_numbers
 from optshape_graph.sensor import SensorModel
 
 _LOG = logging.getLogger(__name__)
-
-FARTHEST_M = 500.0
-"""No LiDAR's median return is farther, metres; such a cloud is in millimetres or in a map's coordinates."""
-
-MAP_M = 1e5
-"""From this distance on, metres, coordinates are a map's: as millimetres they would be 100 m."""
 
 NO_RETURN_M = 1e7
 """From this distance on, metres, a point is not a return: some drivers write the largest number if nothing came
@@ -64,8 +59,9 @@ def make_scan(
 
     Raises:
         InputError: no returns, columns of different lengths, millimetres, map coordinates, rings that are not integers,
-            or a sensor whose table does not fit the elevations.
+            a sensor that is no SensorModel, or whose table does not fit the elevations.
     """
+    expect("sensor", sensor, SensorModel, NoneType)
     name = columns.name
     try:
         known = roles(columns.values)
@@ -95,7 +91,8 @@ def make_scan(
 
     if not whole:
         points, squared = points[there], squared[there]
-    _check_frame(points, squared, name)
+    if objection := not_in_metres(points, squared):
+        raise InputError(f"{name}: {objection}")
     del squared  # memory limits the size of clouds
     ring = _rings(columns, None if is_livox(known) else column("ring"), points, there, sensor)
     intensity, time = column("intensity"), column("time")
@@ -138,7 +135,7 @@ def _rings(
 ) -> Ints | None:
     name = columns.name
     if ids is not None:
-        return rings_of_ids(points, integers(ids, name), sensor, name)
+        return rings_of_ids(points, ring_numbers(ids, name), sensor, name)
     if columns.fired:
         fired = rings_by_firing(points, sensor, name)
         if fired is not None:
@@ -193,30 +190,6 @@ def _scale(role: Role) -> float:
     return 1.0 if role.unit is None else role.unit
 
 
-def _check_frame(points: Floats, squared: Floats, name: str) -> None:
-    """Refuse millimetres, and coordinates of a map; `squared` (N,) are the ranges' squares."""
-    if 2 * np.count_nonzero(squared > FARTHEST_M**2) < len(points):
-        return
-    distance = float(np.sqrt(np.median(squared)))
-    centre = np.median(points, axis=0)
-    spread = float(np.median(np.linalg.norm(points - centre, axis=1)))
-    around = float(np.linalg.norm(centre)) < spread
-    apart = f"half of the returns are within {spread:.0f} m of ({centre[0]:.0f}, {centre[1]:.0f}, {centre[2]:.0f})"
-    if not around and distance > MAP_M:
-        raise InputError(
-            f"{name}: {apart}: coordinates of a map (UTM, ...); expected metres from the LiDAR, as it measured them"
-        )
-    if not around:
-        raise InputError(
-            f"{name}: half of the returns are beyond {distance:.0f} m; expected metres from the LiDAR (millimetres, or "
-            "coordinates of a map?)"
-        )
-    raise InputError(
-        f"{name}: half of the returns are beyond {distance:.0f} m; expected metres (millimetres? a CSV may say so: "
-        "'x (mm)')"
-    )
-
-
 def _organised_ids(height: int, n: int, sensor: SensorModel) -> Ints | None:
     """Return the row (n,), or column, of each point of an organised cloud that has as many as the sensor has rings."""
     if height <= 1 or n % height:
@@ -225,18 +198,3 @@ def _organised_ids(height: int, n: int, sensor: SensorModel) -> Ints | None:
     if height == sensor.n_rings:
         return rows
     return columns if n // height == sensor.n_rings else None
-
-
-def integers(ids: NDArray[Any], name: str) -> Ints:
-    """Return ring numbers (N,) as integers (N,).
-
-    Raises:
-        InputError: a number that is negative, too large, or not an integer.
-    """
-    if ids.dtype.kind in "ub" and ids.dtype.itemsize <= 2:
-        return ids.astype(np.int64)
-    wrong = ~((ids >= 0) & (ids < 1 << 16))  # of NaN too
-    if wrong.any() or (ids != ids.astype(np.int64)).any():
-        bad = ids[wrong][0] if wrong.any() else ids[ids != ids.astype(np.int64)][0]
-        raise InputError(f"{name}: expected ring numbers as integers from 0, found {bad}")
-    return ids.astype(np.int64)

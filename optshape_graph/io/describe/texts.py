@@ -15,6 +15,8 @@ from optshape_graph.io.describe.facts import Facts, span_text
 from optshape_graph.io.describe.mocap import mocap_facts
 from optshape_graph.io.files import read_bytes
 from optshape_graph.io.mocap import form_of
+from optshape_graph.io.trajectories.g2o import is_g2o, read_g2o
+from optshape_graph.io.trajectories.kitti import read_kitti
 
 
 def text_facts(path: Path, columns: list[str] | None) -> Facts:
@@ -31,6 +33,8 @@ def text_facts(path: Path, columns: list[str] | None) -> Facts:
     lines = text.splitlines()
     if form_of(text) is not None:
         return mocap_facts(path, "motion capture")
+    if is_g2o(text):
+        return _pose_graph(path)
     first = next((line.strip() for line in lines if line.strip()), "")
     names = [word.strip().lower() for word in first.lstrip("#/ ").replace(";", ",").split(",")]
     if sorted(names) == ["frame", "marker", "x", "y", "z"]:
@@ -39,7 +43,8 @@ def text_facts(path: Path, columns: list[str] | None) -> Facts:
         return {"form": "pixels of a target's points (session key `corners`)", "lines": len(lines) - 1}
     said: list[str] = []
     attempts: tuple[Callable[[], Facts], ...] = (
-        lambda: _trajectory(path), lambda: _stamps(path, lines), lambda: cloud_facts(path), lambda: _angles(path)
+        lambda: _trajectory(path), lambda: _stamps(path, lines), lambda: _kitti(path), lambda: cloud_facts(path),
+        lambda: _angles(path),
     )  # fmt: skip
     for attempt in attempts if columns is None else (lambda: cloud_facts(path, columns),):
         try:
@@ -64,6 +69,17 @@ def _trajectory(path: Path) -> Facts:
         "stamps": span_text(start, end), "rate": f"{rate:.1f} Hz",
         "numbers": {"stamps": len(trajectory), "span_s": [start, end], "length_m": length, "rate_hz": rate},
     }  # fmt: skip
+
+
+def _kitti(path: Path) -> Facts:
+    return {"form": "trajectory without stamps (KITTI; read by `io.trajectories.read_kitti`)",
+            "poses": len(read_kitti(path))}  # fmt: skip
+
+
+def _pose_graph(path: Path) -> Facts:
+    graph = read_g2o(path)
+    return {"form": "pose graph (g2o; read by `io.trajectories.read_g2o`)", "vertices": len(graph.vertices),
+            "edges": len(graph.edges), "fixed": len(graph.fixed)}  # fmt: skip
 
 
 def _stamps(path: Path, lines: list[str]) -> Facts:

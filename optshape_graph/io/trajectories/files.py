@@ -10,6 +10,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.io.clouds.text import decode
 from optshape_graph.io.files import is_file, read_bytes
 from optshape_graph.io.mocap import form_of, read_motive_bodies
+from optshape_graph.io.trajectories.g2o import is_g2o
 from optshape_graph.io.trajectories.numbers import poses_of
 from optshape_graph.io.trajectories.trajectory import Trajectory
 from optshape_graph.io.trajectories.tum import read_lines
@@ -34,13 +35,15 @@ def read_trajectory(path: str | Path) -> Trajectory:
     (`tum.LARGEST_BAD_SHARE`).
 
     Raises:
-        InputError: not readable, poses without stamps (KITTI) or without quaternions, a quaternion whose order
+        InputError: not readable, poses without stamps (KITTI, g2o) or without quaternions, a quaternion whose order
             nothing tells, or too many lines that are not poses.
     """
     path = Path(path)
     if not is_file(path) and (named := _file_and_body(path)):
         return read_rigid_body(*named)
     text = decode(read_bytes(path))
+    if is_g2o(text):
+        raise InputError(f"{path}: a pose graph (g2o), whose poses have no stamps; expected a trajectory with them")
     if form_of(text) == "motive":
         return read_rigid_body(path)
     return read_lines(path, text)

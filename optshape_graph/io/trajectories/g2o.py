@@ -49,6 +49,12 @@ class PoseGraph(Value):
     fixed: frozenset[int] = frozenset()
 
 
+def is_g2o(text: str) -> bool:
+    """Return whether a text is a pose graph: its first line that is no comment begins with the name of an element."""
+    first = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
+    return first.startswith(("VERTEX_", "EDGE_", "FIX "))
+
+
 def read_g2o(path: str | Path) -> PoseGraph:
     """Read a 3-D pose graph: VERTEX_SE3:QUAT, EDGE_SE3:QUAT and FIX.
 
