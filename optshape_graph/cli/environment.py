@@ -127,7 +127,7 @@ def import_all(distributions: Sequence[str]) -> dict[str, Found]:
     while remaining:
         trying = remaining[0][0]
         why = ""
-        for line, ended in _said_by(remaining):
+        for line, ended in _output_of(remaining):
             why = ended
             if "trying" in line:
                 trying = line["trying"]
@@ -170,7 +170,7 @@ def missing_libraries(libraries: Mapping[str, str] = SYSTEM) -> dict[str, str]:
     return {name: package for name, package in libraries.items() if not loads(name)}
 
 
-def _said_by(modules: Sequence[Sequence[str]]) -> Iterator[tuple[dict[str, Any], str]]:
+def _output_of(modules: Sequence[Sequence[str]]) -> Iterator[tuple[dict[str, Any], str]]:
     """Yield the lines of a process that imports modules, each with how the process ended."""
     command = [sys.executable, "-c", _IMPORTS, json.dumps(list(modules))]
     try:

@@ -18,10 +18,10 @@ from optshape_graph.names import shown
 from optshape_graph.runs.interruption import (
     Stopped,
     end_on_signals,
-    first_to_say,
+    is_first_to_report,
     stop_on_signals,
+    stopped_before_errors,
     stopped_line,
-    whatever_becomes_of_it,
 )
 
 COMMANDS = {
@@ -107,7 +107,7 @@ def main() -> None:
         stop_on_signals()
         code = run(debug)
     except Stopped as stopped:
-        if first_to_say():
+        if is_first_to_report():
             end(stopped_line(stopped.signal, stopped.advice), stopped.exit_status)
         sys.exit(stopped.exit_status)
     finally:
@@ -118,7 +118,7 @@ def main() -> None:
 def run(debug: bool) -> int:
     """Run the command, and return its exit status; exit with one line if it ends in an error."""
     try:
-        with whatever_becomes_of_it():
+        with stopped_before_errors():
             code = cli(standalone_mode=False)
             sys.stdout.flush()
         return code if isinstance(code, int) else 0

@@ -186,7 +186,7 @@ def command(
         )
         _write(result, json_file, tum_file, kitti_file, g2o_file)
         journal.remove()
-    _say(result)
+    _say(result, known is not None)
     pictures = _draw(result, plots) if plots else ()
     conclude({**_document(result), "trajectory": [{}] * len(result.trajectory)}, html, pictures)
     return 3 if result.problems else 0
@@ -307,15 +307,26 @@ def _draw(result: MapResult, plots: Path) -> list[Path]:
     return pictures.paths
 
 
-def say_landmarks(result: Map) -> None:
-    """Print a line for each landmark of a map."""
+def say_landmarks(result: Map, frame: str) -> None:
+    """Print a line for each landmark of a map, in a frame that is named."""
+    if result.landmarks:
+        say(f"  landmarks in the frame of {frame}, with the largest standard deviation of each position:")
     for landmark in result.landmarks:
         x, y, z = landmark.position
-        sd = landmark.covariance[3:, 3:].trace() ** 0.5
-        say(f"  {landmark.id}: ({x:.3f}, {y:.3f}, {z:.3f}) m +- {sd:.3f}, {landmark.observations} observations")
+        sd = 1e3 * float(landmark.covariance.diagonal()[3:].max() ** 0.5)
+        say(f"  {landmark.id}: ({x:.3f}, {y:.3f}, {z:.3f}) m +- {sd:.1f} mm, {landmark.observations} observations")
 
 
-def _say(result: MapResult) -> None:
+_BECAME = {
+    "matched": "of known landmarks",
+    "new": "of new ones",
+    "pending": "that waited for others to agree",
+    "rejected": "that contradict the map",
+}
+"""What became of sightings, in words."""
+
+
+def _say(result: MapResult, known: bool) -> None:
     progress, found = result.progress, result.mounting
     if found is not None and found.T_body_lidar is not None and found.body != found.lidar:
         x, y, z = found.T_body_lidar[:3, 3]
@@ -328,9 +339,10 @@ def _say(result: MapResult) -> None:
     )
     for line in result.clocks.lines():
         say(f"  {line}")
-    say_landmarks(result.map)
+    say_landmarks(result.map, "the known map" if known else "the first pose")
     if result.counts:
-        say("  " + ", ".join(f"{count} {what}" for what, count in result.counts.items()))
+        said = (f"{count} {_BECAME.get(what, what)}" for what, count in result.counts.items())
+        say(f"  sightings: {', '.join(said)}")
     say_passed_over(result.passed_over)
     if not result.map.landmarks and progress.keyframes:
         say(

@@ -36,6 +36,6 @@ def command(maps: tuple[Path, ...], json_file: Path, html: Path | None, force: b
     result = reduce(merge_maps, [load_map(path) for path in maps])
     save_map(json_file, result)
     say(f"{len(result.landmarks)} landmarks, {len(result.trajectories)} sessions")
-    say_landmarks(result)
+    say_landmarks(result, "the first map")
     conclude(result.to_dict(), html)
     return 0

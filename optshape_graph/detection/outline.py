@@ -97,7 +97,7 @@ def first_look(boundary: Boundary, centroid: Floats, target: Target) -> OutlineF
     rough = np.log1p((off / (0.1 * target.circumradius)) ** 2).sum(axis=1)
     lowest = np.flatnonzero((rough <= np.roll(rough, 1)) & (rough <= np.roll(rough, -1)))
     angle = _ANGLES[lowest[np.argsort(rough[lowest])[:_STARTS]]]
-    return _work_out(boundary, centroid, target, angle, start[: len(angle)], 0.1)
+    return _refined(boundary, centroid, target, angle, start[: len(angle)], 0.1)
 
 
 def look_again(boundary: Boundary, target: Target, T_lidar_target: Floats) -> OutlineFit:
@@ -107,7 +107,7 @@ def look_again(boundary: Boundary, target: Target, T_lidar_target: Floats) -> Ou
     middle = boundary.at.mean(axis=0)
     place = boundary.plane.centre + middle @ boundary.plane.axes[1:] - T_lidar_target[:3, 3]
     angle = np.arctan2(z @ left - y @ up, y @ left + z @ up)
-    return _work_out(boundary, middle, target, np.array([angle]), np.array([[place @ y, place @ z]]), 0.02)
+    return _refined(boundary, middle, target, np.array([angle]), np.array([[place @ y, place @ z]]), 0.02)
 
 
 def _beyond(turned: Floats, t: Floats, target: Target) -> Floats:
@@ -115,7 +115,7 @@ def _beyond(turned: Floats, t: Floats, target: Target) -> Floats:
     return np.asarray(target.normals @ (turned + t[..., None]) - target.offsets[:, None])
 
 
-def _work_out(
+def _refined(
     boundary: Boundary, middle: Floats, target: Target, angle: Floats, start: Floats, width: float
 ) -> OutlineFit:
     """Refine the best of some starts.

@@ -189,8 +189,10 @@ def _camera(document: Mapping[str, Any]) -> Verdict:
     left_out = document["cross_validation"]
     used = [view for view in document["views"] if view["used"]]
     ranges = _ranges(used)
+    level = _level(str(document.get("verdict", "to be trusted")), document.get("warnings", ()), len(used))
     sentence = (
-        f"{len(used)} of {len(document['views'])} views agree, {left_out['mean_centre_error_mm']:.1f} mm and "
+        f"{len(used)} of {len(document['views'])} views {'take part' if level == 'Not usable' else 'agree'}, "
+        f"{left_out['mean_centre_error_mm']:.1f} mm and "
         f"{left_out['mean_normal_error_deg']:.2f} deg on views left out{ranges}"
     )
     advice = []
@@ -205,7 +207,6 @@ def _camera(document: Mapping[str, Any]) -> Verdict:
             f"{place['pitch_deg']:+.0f} deg"
         )
     advice += [f"{view['scan']} was not used: {view['reason']}" for view in document["views"] if not view["used"]]
-    level = _level(str(document.get("verdict", "to be trusted")), document.get("warnings", ()), len(used))
     return Verdict(level, sentence, (*advice, *map(str, document.get("warnings", ()))))
 
 

@@ -37,6 +37,14 @@ from optshape_graph.se3 import inverse_covariance
 
 if TYPE_CHECKING:
     from optshape_graph.factors._callback import CheckedFactor
+    from optshape_graph.factors.measurement import (
+        Measured,
+        TemplateMeasurement,
+        edge_rows,
+        plane_rows,
+        refine,
+        template_rows,
+    )
     from optshape_graph.factors.sensor_parameters import (
         AugmentedMeasurement,
         SensorParameterFactor,
@@ -45,7 +53,6 @@ if TYPE_CHECKING:
         plane_motion_rows,
         range_directions,
     )
-    from optshape_graph.factors.measurement import Measured, TemplateMeasurement, edge_rows, plane_rows, refine, template_rows
     from optshape_graph.factors.shape import (
         FreeVertexFactor,
         ShapeFactor,
@@ -55,17 +62,17 @@ if TYPE_CHECKING:
         shape_rows,
     )
     from optshape_graph.factors.static import (
+        AZIMUTH,
         BLOOMING,
         BRIGHTNESS,
+        COMMON_AZIMUTH,
+        COMMON_ELEVATION,
+        COMMON_RANGE,
         EDGE_OFFSET,
         ELEVATION,
-        OF_SENSOR,
-        COMMON_RANGE,
-        COMMON_ELEVATION,
-        COMMON_AZIMUTH,
         OF_RANGES,
         OF_RINGS,
-        AZIMUTH,
+        OF_SENSOR,
         RANGE_BIAS,
         BiasedMeasurement,
         SharedError,
@@ -93,17 +100,17 @@ _HOME = {
 }
 
 __all__ = [
+    "AZIMUTH",
     "BLOOMING",
     "BRIGHTNESS",
+    "COMMON_AZIMUTH",
+    "COMMON_ELEVATION",
+    "COMMON_RANGE",
     "EDGE_OFFSET",
     "ELEVATION",
-    "OF_SENSOR",
-    "COMMON_RANGE",
-    "COMMON_ELEVATION",
-    "COMMON_AZIMUTH",
     "OF_RANGES",
     "OF_RINGS",
-    "AZIMUTH",
+    "OF_SENSOR",
     "RANGE_BIAS",
     "AugmentedMeasurement",
     "BiasedMeasurement",

@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, in_plane, marginalised, outer_rows, root, triangular
-from optshape_graph.se3 import PoseLike, as_matrix, as_transform, exp, inverse, vec, vec_derivative
-
+from optshape_graph.se3 import PoseLike, as_matrix, exp, inverse, vec, vec_derivative
 
 FIRST_ROW = [0, 3, 6, 9]
 """Places of the first row of [R t] in z = [vec R; t]: all that a point on the plane x = 0 is linear in."""

@@ -27,8 +27,8 @@ from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, marginalised, root, triangular, triangular_by_parts
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
-from optshape_graph.sensor import SensorModel, angle_sds
 from optshape_graph.se3 import adjoint, inverse, vec, vec_derivative
+from optshape_graph.sensor import SensorModel, angle_sds
 
 
 def ring_bias_columns(
@@ -225,12 +225,12 @@ class BiasedMeasurement(Value):
     ) -> BiasedMeasurement:
         """Return the measurement where further errors displace the pose, as a whole, in all scans alike.
 
-        The minimum stays where it is; the covariance of the pose grows by effect effect^T, however many scans are fused.
+        The minimum stays where it is; the pose's covariance grows by effect effect^T, however many scans are fused.
 
         Args:
             errors: (k,) what they are.
-            effect: (6, k) right perturbation of T_lidar_target, rotation first, rad and metres, for a standard deviation
-                of each.
+            effect: (6, k) right perturbation of T_lidar_target, rotation first, rad and metres, for a standard
+                deviation of each.
             T_target_lidar: (4, 4) where the effects are linearised: at the minimum.
         """
         E, T = checked("effect", effect, (6, len(errors))), np.asarray(T_target_lidar, float)
@@ -323,7 +323,7 @@ def angle_errors(
 
 
 def spread(moved: Floats, which: Ints, k: int) -> Floats:
-    """Return columns (N, k) of entries (N, J) and the columns (N, J) that they belong to; none occurs twice in a row."""
+    """Return columns (N, k) of entries (N, J) and the columns (N, J) that they belong to, each once in a row."""
     columns = np.zeros((len(moved), k))
     np.put_along_axis(columns, which, moved, axis=1)
     return columns
@@ -357,7 +357,8 @@ def seen_scale(total: BiasedMeasurement, kind: str, sigma: ArrayLike) -> float:
     """Return how many times as large as stated the errors of a kind are: the likeliest of `SCALES`, the pose unknown.
 
     The restricted likelihood of rows J x + B beta + r: its logarithm is that of 1 / det R, and half the square of what
-    is left, R being the triangular factor of the rows under the prior of beta (Patterson and Thompson, Biometrika 1971).
+    is left, R being the triangular factor of the rows under the prior of beta (Patterson and Thompson, Biometrika
+    1971).
 
     Args:
         total: of all scans of a scene.

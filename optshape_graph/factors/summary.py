@@ -179,11 +179,13 @@ def LandmarkFactor(
         loss: robust loss on the distance from the measured pose; None: least squares.
 
     Raises:
-        InputError: neither a measurement nor an estimate, an estimate that failed, a key that is none, or a pose that is
-            none.
+        InputError: neither a measurement nor an estimate, an estimate that failed, a key that is none, or a pose that
+            is none.
     """
     checked_keys(k_target)
-    return _summary(measurement, T_target_lidar).landmark_factor(k_target, as_transform(T_world_lidar, "T_world_lidar"), loss)
+    return _summary(measurement, T_target_lidar).landmark_factor(
+        k_target, as_transform(T_world_lidar, "T_world_lidar"), loss
+    )
 
 
 def _summary(measurement: TemplateMeasurement | Measured, T_target_lidar: PoseLike | None) -> Summary:

@@ -82,6 +82,13 @@ class Candidate:
         """Number of the LiDAR pose of the last sighting."""
         return self.sightings[-1][0]
 
+    def is_of(self, pose: int, sighting: Sighting) -> bool:
+        """Say whether it has a sighting from a pose by the same LiDAR in the same place."""
+        latest_pose, latest = self.sightings[-1]
+        apart = np.linalg.norm((latest.T_lidar_target() - sighting.T_lidar_target())[:3, 3])
+        same = (pose, sighting.lidar, sighting.target.name) == (latest_pose, latest.lidar, latest.target.name)
+        return same and bool(apart < sighting.target.circumradius)
+
     def takes(self, pose: int, sighting: Sighting, graph: IncrementalGraph) -> bool:
         """Add a sighting if it agrees with the first one under some of their hypotheses; say whether."""
         first_pose, first = self.sightings[0]
@@ -155,6 +162,8 @@ class Candidates:
         if not sighting.determined:
             return Outcome("rejected", sighting.landmark, "it determines no pose, and no known landmark explains it")
         self._carried = [c for c in self._carried if c.sightings[0][0] in self._graph]  # a lag forgets poses
+        if any(c.is_of(pose, sighting) for c in self._carried):
+            return Outcome("rejected", sighting.landmark, "another sighting from this pose is of the same target")
         candidate = next((c for c in self._carried if c.takes(pose, sighting, self._graph)), None)
         if candidate is None:
             candidate = Candidate([(pose, sighting)])

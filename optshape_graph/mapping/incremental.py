@@ -67,6 +67,7 @@ class LandmarkSlam:
         if self._known is not None:
             self._graph.add_known(self._known)
         self._candidates = Candidates(self._graph, confirmations)
+        self._seen_now: set[tuple[str, str]] = set()  # landmarks from the newest pose, each by a LiDAR
         self._stamps: list[float] = []
         self._poses: list[Floats] = []  # as last estimated; of a pose that floats there is none yet
 
@@ -93,6 +94,7 @@ class LandmarkSlam:
         """
         if not np.isfinite(stamp) or (self._stamps and stamp <= self._stamps[-1]):
             raise InputError(f"stamp {stamp} does not follow {self._stamps[-1] if self._stamps else 'nothing'}")
+        self._seen_now.clear()
         if self._floating:
             self._stamps[-1] = stamp
             return len(self._poses)
@@ -142,10 +144,13 @@ class LandmarkSlam:
         for pairing in paired:
             name = pairing.landmark
             outcomes[pairing.sighting] = Outcome("matched", name) if borne else Outcome("rejected", name, SINGULAR)
-        result = [
-            outcome or self._candidates.carry(newest, sighting)
-            for sighting, outcome in zip(sightings, outcomes, strict=True)
-        ]
+            self._seen_now.add((name, sightings[pairing.sighting].lidar))
+        result = []
+        for sighting, outcome in zip(sightings, outcomes, strict=True):
+            became = outcome or self._again(sighting) or self._candidates.carry(newest, sighting)
+            if became.verdict == "new" and became.landmark is not None:
+                self._seen_now.add((became.landmark, sighting.lidar))
+            result.append(became)
         self._counts.update(outcome.verdict for outcome in result)
         if len(self._poses) % LOOK_EVERY == 0:
             self._graph.look_again()
@@ -234,6 +239,14 @@ class LandmarkSlam:
         """Whether nothing says where the newest pose is."""
         return len(self._stamps) > len(self._poses)
 
+    def _again(self, sighting: Sighting) -> Outcome | None:
+        """Turn a sighting down that is of a landmark which its LiDAR saw from this pose already."""
+        place = (self.pose @ sighting.T_lidar_target())[:3, 3]
+        for name in self._graph.within(place, sighting.target.circumradius) if self._seen_now else ():
+            if (name, sighting.lidar) in self._seen_now:
+                return Outcome("rejected", name, "another sighting from this pose is of that landmark")
+        return None
+
     def _associate(self, sightings: Sequence[Sighting]) -> list[Pairing | None]:
         newest = len(self._poses) - 1
         now = self._graph.T_world_lidar(newest)
@@ -253,5 +266,7 @@ class LandmarkSlam:
         """Return the landmarks that a sighting may be of: the one it names, or those of its template nearby."""
         name = sighting.landmark
         if name is not None:
-            return {name: self._graph.T_world_target(name)} if name in self._graph.landmarks else {}
-        return self._graph.near(sighting, T_world_lidar)
+            possible = {name: self._graph.T_world_target(name)} if name in self._graph.landmarks else {}
+        else:
+            possible = self._graph.near(sighting, T_world_lidar)
+        return {name: T for name, T in possible.items() if (name, sighting.lidar) not in self._seen_now}

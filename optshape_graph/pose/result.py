@@ -12,7 +12,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Ints, Value, frozen, shortened
 from optshape_graph.edges import EdgePoints
 from optshape_graph.factors.measurement import TemplateMeasurement
-from optshape_graph.factors.static import OF_RINGS, OF_SENSOR, OF_TARGET, RANGE_BIAS, BiasedMeasurement
+from optshape_graph.factors.static import OF_RINGS, OF_SENSOR, OF_TARGET, OUTER_EDGE, RANGE_BIAS, BiasedMeasurement
 from optshape_graph.io.records import to_record
 from optshape_graph.io.results import RECORD, Result, Row, one_scan
 from optshape_graph.pose.certificate import Certificate
@@ -167,6 +167,15 @@ class PoseEstimate(Result):
     def of_sensor_and_target(self) -> BiasedMeasurement | None:
         """The same before those that the target keeps are marginalised too: of its surface, and of its outline."""
         return self._keeping((*OF_SENSOR, *OF_TARGET))
+
+    @property
+    def of_scene(self) -> BiasedMeasurement | None:
+        """What the returns say before all that scans of one still scene have in common is marginalised; or None.
+
+        For `factors.fuse_static`: beside what LiDAR and target keep, where the target ends between two rings. In each
+        revolution it is the same rings that miss it.
+        """
+        return self._keeping((*OF_SENSOR, *OF_TARGET, OUTER_EDGE))
 
     def _keeping(self, kinds: Collection[str]) -> BiasedMeasurement | None:
         """What the returns say before errors of some kinds, and those of single rings, are marginalised."""

@@ -144,6 +144,22 @@ class PlaneResiduals(Value):
         p, _, apart = self.beyond(6, again[:, None] * self.terms[:, :3]).together()
         return Sheets(product, product * float(np.sqrt(same.sum())), apart, p)
 
+    def in_front(self, azimuth: Floats) -> tuple[int, float]:
+        """Look for something before the target: neighbours in a ring that both stand off the plane, towards the sensor.
+
+        Args:
+            azimuth: (N,) of each return, rad.
+
+        Returns:
+            How many returns do, and how far in the middle, metres.
+        """
+        order = np.lexsort((azimuth, self.column))
+        rest = self.rest[order]
+        off = ~self.usual[order] & (rest < 0)
+        both = off[1:] & off[:-1] & (np.diff(self.column[order]) == 0)
+        found = np.append(both, False) | np.append(False, both)
+        return int(found.sum()), -float(np.median(rest[found])) if found.any() else 0.0
+
     def rim_step(self, rim: Bools, inner: Bools) -> tuple[float, float]:
         """How far the rim stands off what else a surface of second order explains, metres, and its chance.
 

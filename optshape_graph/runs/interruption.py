@@ -74,7 +74,7 @@ def stop_on_signals() -> None:
 
 
 @contextmanager
-def whatever_becomes_of_it() -> Iterator[None]:
+def stopped_before_errors() -> Iterator[None]:
     """Raise `Stopped` in place of any error that native code has turned it into."""
     try:
         yield
@@ -105,7 +105,7 @@ def going_on(advice: Callable[[], str]) -> Iterator[None]:
         _advices.remove(advice)
 
 
-def first_to_say() -> bool:
+def is_first_to_report() -> bool:
     """Return whether nobody has printed yet that the process was stopped; then the caller must print it."""
     return _line.acquire(blocking=False)
 
@@ -158,7 +158,7 @@ def _await_second(reader: int) -> None:
 
 def _end(number: int, frame: FrameType | None) -> None:
     """Print why, and end the process with no further output."""
-    if first_to_say():
+    if is_first_to_report():
         advice = _seen[0].advice if _seen else ""
         with suppress(Exception):
             advice = advice or (_advices[-1]() if _advices else "")

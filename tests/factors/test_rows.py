@@ -32,7 +32,7 @@ def test_parts_make_the_same_form(k: int, m: int, share: float, common: int, pri
 
 @pytest.mark.parametrize("rings", [30, 128])
 def test_rings_with_two_errors_each(rings: int) -> None:
-    """Columns as detection makes them: range biases of all rings, then their elevations, each in its ring's rows only."""
+    """Range biases of all rings, then their elevations, each in its ring's rows only."""
     rng, ring = np.random.default_rng(rings), np.repeat(np.arange(rings), 20)
     k, rows = 2 * rings, np.arange(len(ring))
     stack = np.zeros((len(ring), k + 13))

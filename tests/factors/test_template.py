@@ -24,11 +24,6 @@ from tests.factors.support import (
     scales,
     seeds,
 )
-import gtsam
-import numpy as np
-import pytest
-from gtsam.symbol_shorthand import H
-from hypothesis import given
 
 
 def values_of(**poses):

@@ -221,3 +221,26 @@ def test_several_lidars_of_one_robot_make_one_map():
         error = difference(solution.landmarks[name], X)
         # 99.9 % of chi-square with 6 degrees of freedom.
         assert error @ np.linalg.solve(solution.covariance([name]), error) < 22.5
+
+
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("confirmations", [1, 2])
+def test_a_target_seen_twice_from_one_pose_counts_once(named, confirmations):
+    rng, twice = np.random.default_rng(0), LandmarkSlam(confirmations=confirmations)
+    once, motions = LandmarkSlam(confirmations=confirmations), WORLD.odometry(rng)
+    for i in range(3):
+        step = (motions[i - 1], covariance(WORLD.motion_sigma)) if i else ()
+        sighting = WORLD.sighting(rng, i, 0, "t0" if named else None)
+        once.add_odometry(float(i), *step)
+        once.add_measurements([sighting])
+        twice.add_odometry(float(i), *step)
+        _, again = twice.add_measurements([sighting, sighting])
+        [later] = twice.add_measurements([sighting])
+        for outcome in (again, later):
+            assert outcome.verdict == "rejected"
+            assert outcome.reason.startswith("another sighting from this pose")
+    once.settle()
+    twice.settle()
+    assert list(twice.landmarks) == list(once.landmarks)
+    name = next(iter(once.landmarks))
+    np.testing.assert_allclose(np.diag(twice.covariance([name])), np.diag(once.covariance([name])), rtol=0.01)

@@ -49,6 +49,7 @@ def test_a_clean_scan_fits() -> None:
     ("kind", "flag", "word"),
     [
         ("mixed pixels 1", "mixed ends", "off their ring"),
+        ("hand 8 cm in front", "in front", "a hand or a bracket"),
         ("frame raised 3 cm", "raised frame", "a raised frame"),
         ("two scans 10 cm apart", "two sheets", "revolutions merged"),
         ("bent 8 cm", "surface", "isn't flat"),

@@ -135,6 +135,24 @@ def _appended(scan: Scan, points: np.ndarray, ring: np.ndarray) -> Scan:
     return Scan(np.vstack([scan.points, points]), np.concatenate([scan.ring, ring]), sensor=scan.sensor, name=scan.name)
 
 
+HAND = Target.from_polygon([(-0.06, -0.09), (0.06, -0.09), (0.06, 0.09), (-0.06, 0.09)], "hand")
+
+
+def held(trial: Trial, rng: np.random.Generator, before: float) -> Trial:
+    """A hand of 12 by 18 cm about the middle of an edge, so far in front of it, taken for a part of the target."""
+    vertices, k, seed = trial.target.vertices, rng.integers(len(trial.target)), rng.integers(2**32)
+    at_hand = np.eye(4)
+    at_hand[:3, 3] = (vertices[k] + vertices[k - 1]) / 2 - [before, 0.0, 0.0]
+    board, hand = (  # the same firings
+        trial.world.cast(target, trial.world.sensor, T, np.random.default_rng(seed))
+        for target, T in ((trial.target, trial.T), (HAND, trial.T @ at_hand))
+    )
+    to_hand = inverse(trial.T @ at_hand)
+    ray, start = board.points @ to_hand[:3, :3].T, to_hand[:3, 3]
+    hidden = HAND.outside_distance((start - ray * (start[0] / ray[:, :1]))[:, 1:]) < 0
+    return replace(trial, scan=_appended(board.select(np.flatnonzero(~hidden)), hand.points, hand.ring))
+
+
 def _ends(scan: Scan) -> tuple[np.ndarray, np.ndarray]:
     """(M,) rows of the ends of rings, and +1 for left ones, -1 for right ones."""
     azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
@@ -281,6 +299,8 @@ KINDS: dict[str, Callable[[Trial, np.random.Generator], Trial]] = {
     "folded 5 deg": lambda t, r: folded(t, r, 5.0),
     "two scans 5 cm apart": lambda t, r: merged(t, r, 0.05),
     "two scans 10 cm apart": lambda t, r: merged(t, r, 0.10),
+    "hand 4 cm in front": lambda t, r: held(t, r, 0.04),
+    "hand 8 cm in front": lambda t, r: held(t, r, 0.08),
     "mixed pixels 1": lambda t, r: mixed(t, r, 1),
     "mixed pixels 2": lambda t, r: mixed(t, r, 2),
     "mixed pixels 3": lambda t, r: mixed(t, r, 3),

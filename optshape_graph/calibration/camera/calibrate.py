@@ -29,10 +29,17 @@ from optshape_graph.calibration.camera.session import read_views
 from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.camera.start import Start, find_start
 from optshape_graph.calibration.images.image_points import turn_about
+from optshape_graph.calibration.verdict import Finding
 from optshape_graph.errors import EstimationError, InputError, UnobservableError, expect
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Session, load_session
 from optshape_graph.runs.kept import Kept
+
+ANOTHER_LENS = (
+    "views agree only where lenses are others than given: let them be refined, or calibrate the cameras again; what is "
+    "stated is for the lenses as given"
+)
+"""What is found where it is."""
 
 FOLDS = 5
 
@@ -110,14 +117,15 @@ def calibrate(
     def graph_as_they_come(free_lenses: Collection[str]) -> CalibrationGraph:
         return CalibrationGraph(start.sightings, base, 0.0, free_lenses, as_they_come=True)
 
-    everything_free = graph_of(cameras)
+    everything_free, findings = graph_of(cameras), list[Finding]()
     best, used, squared, discrepancy = _solve_robustly(graph_of(refined), start, views)
     if refined != set(cameras) and set(squared) - used:
         # Views disagree: where they do not under a lens as near to the given one as that is good for, it is the lens.
         free, agreeing, distances, _ = _solve_robustly(everything_free, start, views)
         if agreeing > used:
             used, squared = agreeing, distances
-            best, discrepancy = _settled(graph_of(refined), start, free, used)
+            best, discrepancy = _settled(graph_of(refined), start, replace(free, cameras=start.rig.cameras), used)
+            findings.append(Finding(ANOTHER_LENS, True))
     taking_part = {s.sensor for s in start.sightings if used & set(s.views)}
     if missing := sorted(set(start.rig.T_base_sensor) - taking_part):
         raise EstimationError(f"no view of {', '.join(missing)} agrees with those of the other sensors")
@@ -159,7 +167,7 @@ def calibrate(
         findings=(),
         sightings=start.sightings,
     )
-    return replace(result, findings=judge(result, unknowns))
+    return replace(result, findings=(*findings, *judge(result, unknowns)))
 
 
 def _start(views: Sequence[View]) -> Start:

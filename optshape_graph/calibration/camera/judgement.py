@@ -37,6 +37,10 @@ LENS_OFF = 0.005
 """Shift of the principal point, in widths of the image, or half the change of a focal length, in its value, beyond
 which a lens is called another than the given one."""
 
+LOOSE = (0.03, 0.1)
+"""Standard deviation of a pair's worst direction, metres, or rad times the targets' distance: of the most likely
+transform, from which it has to be known; and of the one that is stated, from which it is grave."""
+
 
 def judge(result: CameraCalibration, unknowns: Unknowns) -> tuple[Finding, ...]:
     """Judge a calibration by what it found.
@@ -57,6 +61,7 @@ def judge(result: CameraCalibration, unknowns: Unknowns) -> tuple[Finding, ...]:
         *(finding for (lidar, _), shape in result.shapes.items() for finding in _of_shape(lidar, shape)),
         *(finding for lens in result.lenses for finding in _of_lens(result, lens)),
         *_of_planes(result),
+        *_of_spread(result),
     )
 
 
@@ -192,12 +197,14 @@ def _of_shape(lidar: str, shape: MeasuredShape) -> list[Finding]:
 
 
 def _of_lens(result: CameraCalibration, lens: LensCheck) -> list[Finding]:
-    if not lens.contradicted:
+    if not lens.contradicted and lens.camera not in result.refined:
         return []
     text = (
         f"'{lens.camera}': its {lens.images} images contradict the given intrinsics: with another lens the errors of "
         f"the corners fall from {lens.rms_px:.2f} to {lens.refined_rms_px:.2f} px"
     )
+    if not lens.contradicted:
+        text = f"the lens of '{lens.camera}' is"
     if result.given is None:
         return [
             Finding(
@@ -209,11 +216,29 @@ def _of_lens(result: CameraCalibration, lens: LensCheck) -> list[Finding]:
     stretched = float(np.abs(np.diag(after)[:2] / np.diag(before)[:2] - 1).max())
     width = result.rig.cameras[lens.camera].width
     far = moved > LENS_OFF * width or stretched > 2 * LENS_OFF
+    text += f"{';' if lens.contradicted else ''} refined"
     text += (
-        f"; refined, its principal point moves by {moved:.1f} px and its focal length by {100 * stretched:.2f} %, and "
+        f", its principal point moves by {moved:.1f} px and its focal length by {100 * stretched:.2f} %, and "
         f"T_camera_lidar belongs to the refined lens ('cameras'); T_camera_lidar_given_lens is for the given one"
     )
+    if not lens.contradicted:  # as it was asked for
+        return [Finding(f"{text}; calibrate the camera again", False)] if far else []
     return [Finding(f"{text}; calibrate the camera again" if far else text, far)]
+
+
+def _of_spread(result: CameraCalibration) -> list[Finding]:
+    """Say which pairs are known worse than what the views leave is worth, and whether it is for the lens."""
+    found = []
+    for lidar in result.lidars:
+        for camera in result.cameras:
+            worst, likely = result.directions(lidar, camera)[0], result.most_likely_sigma(lidar, camera)
+            if likely < LOOSE[0] and worst.sigma_m < LOOSE[1]:
+                continue
+            text = f"'{camera}' against '{lidar}' is hardly known: {worst.text} (sd)"
+            if likely < 0.5 * worst.sigma_m and camera not in result.refined:
+                text += "; mostly for what its images leave open of the lens: refine it, or calibrate the camera again"
+            found.append(Finding(text, worst.sigma_m > LOOSE[1]))
+    return found
 
 
 def _of_planes(result: CameraCalibration) -> list[Finding]:

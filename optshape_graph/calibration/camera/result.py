@@ -153,8 +153,13 @@ class CameraCalibration(Calibration):
         return [(s, i) for s, i in found if s and i and (s.sensor, i.sensor) == (lidar, camera)]
 
     def directions(self, lidar: str, camera: str) -> list[Direction]:
-        """Return the principal directions of the uncertainty of T_camera_lidar, the worst first."""
-        return principal_directions(self.transform(camera, lidar, self.most_likely)[1], self._middle(lidar))
+        """Return the principal directions of the uncertainty of T_camera_lidar, as it is stated, the worst first."""
+        return principal_directions(self.transform(camera, lidar)[1], self._middle(lidar))
+
+    def most_likely_sigma(self, lidar: str, camera: str) -> float:
+        """Return the standard deviation of the worst direction, metres, of the most likely transform, lens free."""
+        covariance = self.transform(camera, lidar, self.most_likely)[1]
+        return principal_directions(covariance, self._middle(lidar))[0].sigma_m
 
     def next_placement(self, lidar: str, camera: str) -> NextPlacement | None:
         """Suggest where to put the target next; None where the two took no view together."""

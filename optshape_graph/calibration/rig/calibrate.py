@@ -129,9 +129,9 @@ class SolvedRig(Value):
 
     @property
     def graph_as_they_come(self) -> RigGraph:
-        """The graph for clouds whose rings nobody corrects."""
+        """The graph for clouds whose rings nobody corrects: all of them are off, and none is to count less for it."""
         graph = self.solved.graph
-        return replace(graph, options=replace(graph.options, as_they_come=True), discrepancy={})
+        return replace(graph, options=replace(graph.options, as_they_come=True), discrepancy={}, loss=np.inf)
 
 
 def solve_rig(read: Read, session: Session, options: Options) -> SolvedRig:

@@ -225,7 +225,7 @@ def test_suggested_placement_helps(views):
     extra = View(
         "extra", BOARD, seen_by_lidar(sensor, T, BOARD, rng), seen_by_camera(FISHEYE, T_CAMERA_LIDAR @ T, BOARD, rng)
     )
-    after = calibrate([*few, extra]).directions("lidar", "cam")[0].sigma_m
+    after = calibrate([*few, extra]).most_likely_sigma("lidar", "cam")
     assert after < place.sigma_m
 
 

@@ -96,12 +96,31 @@ def test_recorded_sessions_are_right(name: str) -> None:
     assert result.left_out == ()
 
 
+SENSORS = ("vlp32c", "os1-64", "hdl64e", "os0-128", "pandar64", "rs32")
+TARGETS = ("built", "paper@0.7", "square", "triangle", "optimal", "built@1.3")
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_simulated_sessions_are_right(seed: int, tmp_path: Path) -> None:
-    sensor = ("vlp32c", "os1-64", "hdl64e", "os0-128", "pandar64", "rs32")[seed]
-    target = ("built", "paper@0.7", "square", "triangle", "optimal", "built@1.3")[seed]
     distances = np.round(3.0 + 0.3 * seed + np.arange(3) * 1.5, 1)
-    path = synthetic_session(tmp_path, load_target(target), load_sensor(sensor), distances=distances, rng=40 + seed)
+    target, sensor = load_target(TARGETS[seed]), load_sensor(SENSORS[seed])
+    path = synthetic_session(tmp_path, target, sensor, distances=distances, rng=40 + seed)
     result = calibrate_mocap(path)
     assert result.verdict == TRUSTED, result.warnings
     assert result.left_out == ()
+
+
+@pytest.mark.benchmark
+def test_of_many_right_sessions_none_is_flagged(tmp_path: Path) -> None:
+    """With those above they are 52, of any sensor, target and distance."""
+    rng, flagged = np.random.default_rng(2026), {}
+    for seed in range(44):
+        sensor, target = SENSORS[rng.integers(6)], TARGETS[rng.integers(6)]
+        distances = np.round(3.0 + 1.5 * rng.random() + np.arange(3) * 1.5, 1)
+        path = synthetic_session(
+            tmp_path / str(seed), load_target(target), load_sensor(sensor), distances=distances, rng=1000 + seed
+        )
+        result = calibrate_mocap(path)
+        if result.verdict != TRUSTED or result.left_out:
+            flagged[seed] = (sensor, target, result.warnings)
+    assert not flagged

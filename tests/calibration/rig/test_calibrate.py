@@ -178,3 +178,13 @@ def test_transform_is_of_sensors_there_are(result):
     with pytest.raises(InputError, match="no sensor 'top'; the rig has: front, rear, left"):
         result.transform("front", "top")
     assert np.allclose(inverse(result.transform("front", "rear")[0]), result.transform("rear", "front")[0])
+
+
+def test_six_placements_are_solved_for_clouds_as_they_come_too():
+    """Rings that are a centimetre off contradict each other there, which is no reason to doubt any of them."""
+    rng = np.random.default_rng(5)
+    drawn = SimulatedRig.drawn(rng, {"front": "vlp16", "rear": "vlp32c"}, ("left",))
+    placed = placements(6, rng)
+    result = calibrated(drawn, seen(drawn, two_targets(), placed, np.random.default_rng(0)))
+    off = inverse(result.as_they_come("front", "rear")) @ drawn.pair("front", "rear")
+    assert np.linalg.norm(off[:3, 3]) < 0.03
