@@ -37,6 +37,7 @@ def command(files: tuple[Path, ...], columns: str | None, json_path: Path | None
             problems.append(error)
             found.append({"file": str(file), "form": None, "problem": str(error)})
             continue
+        facts |= _verdict(file, str(facts["form"]))
         found.append({"file": str(file), **facts})
         say(file)
         _print(facts, 2)
@@ -48,6 +49,21 @@ def command(files: tuple[Path, ...], columns: str | None, json_path: Path | None
     if none_is_read:
         raise problems[0]
     return 3 if problems else 0
+
+
+def _verdict(file: Path, form: str) -> dict[str, str]:
+    """Return the verdict on a file that is a result; nothing of others, and of results that are not whole."""
+    from optshape_graph.errors import InputError
+    from optshape_graph.evaluation.verdicts import JUDGED, kind_of, verdict_of
+    from optshape_graph.io.documents import read_document
+
+    kind = kind_of({"schema": form})
+    if kind not in JUDGED:
+        return {}
+    try:
+        return {"verdict": verdict_of(read_document(file, kind).value).line}
+    except InputError:
+        return {}
 
 
 def _print(facts: dict[str, Any], indent: int) -> None:

@@ -173,7 +173,7 @@ def choose_target(
         wish: the accuracy asked for.
         shapes: shapes to choose from, of any size; the one that can be smallest by the bound is taken.
         seed: of the simulated scans, the same for every size.
-        progress: called with the numbers of simulated and of expected sizes.
+        progress: called with the numbers of simulated and of expected scans.
 
     Raises:
         EstimationError: no target of up to `LARGEST` square metres is accurate enough.
@@ -227,9 +227,13 @@ class _Ladder:
 
     def simulated(self, step: int) -> Trial:
         if step not in self._simulated:
-            if self.progress is not None:
-                self.progress(len(self._simulated), max(4, len(self._simulated) + 1))
-            self._simulated[step] = _simulated_trial(self.bounded(step), self.wish, self.seed)
+            before = SCANS * len(self._simulated)
+
+            def report(scans: int) -> None:
+                if self.progress is not None:
+                    self.progress(before + scans, max(4 * SCANS, before + SCANS))
+
+            self._simulated[step] = _simulated_trial(self.bounded(step), self.wish, self.seed, report)
         return self._simulated[step]
 
     def first_by_bound(self) -> int:
@@ -308,13 +312,14 @@ def _bounded_trial(target: Target, wish: Wish, distance: float) -> Trial:
     return Trial(turned, plans[best].height, float(rotations[best]), float(translations[best]))
 
 
-def _simulated_trial(trial: Trial, wish: Wish, seed: int) -> Trial:
+def _simulated_trial(trial: Trial, wish: Wish, seed: int, report: Callable[[int], None]) -> Trial:
     """Simulate and estimate scans of a target as it hangs, until it cannot pass any more."""
     noise = NoiseModel.of(wish.sensor)
     poses = _placements(Hanging(trial.height, 0.0), wish, wish.range, SCANS, np.random.default_rng([seed, 1]))
     statuses, e_r, e_t, missed = [], [], [], 0
     allowed = int(np.floor((1 - SHARE) * SCANS + 1e-9))
     for number, T in enumerate(poses):
+        report(number)
         scan = simulate_target(trial.target, wish.sensor, T, noise=noise, rng=np.random.default_rng([seed, 2, number]))
         try:
             estimate = estimate_pose(scan, trial.target)

@@ -37,6 +37,7 @@ LOOK_AT = {
     "raised frame": "the frame around the target",
     "mixed ends": "what touches the target's outline",
     "off the plane": "what else is among the returns",
+    "in front": "what stands before the target",
     "two sheets": "whether anything moved",
     "edges": "whether this is the target's shape, and nothing moved",
     "strain": "whether anything moved, and the target is built as drawn",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from optshape_graph.errors import InputError
@@ -43,4 +44,6 @@ def find(kind: str, name: str, folder: Path | None = None) -> Path:
     path = Path(name) if folder is None else folder / name
     if is_file(path):
         return path
+    if name and os.path.isdir(path):
+        raise InputError(f"{path}: a folder; expected the file of a {kind}, or a built-in one: {', '.join(names)}")
     raise InputError(f"{path}: no such file, and the built-in {kind}s are: {', '.join(names)}")

@@ -54,8 +54,8 @@ def read_markers(path: str | Path, units: str = "m") -> Markers:
     are skipped.
 
     Args:
-        path: a CSV file whose first line names the columns frame, marker, x, y, z, in any order; or an export that
-            `read_mocap` reads, whose frames are counted from 0.
+        path: a CSV file whose first line names the columns frame, marker, x, y, z, in any order and case; or an
+            export that `read_mocap` reads, whose frames are counted from 0.
         units: of the coordinates: "m", "cm" or "mm"; ignored for an export, which states its own.
 
     Raises:
@@ -71,7 +71,7 @@ def read_markers(path: str | Path, units: str = "m") -> Markers:
         lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
     except csv.Error as error:
         raise InputError(f"{path}:{reader.line_num}: not CSV ({error})") from error
-    header = lines[0][1] if lines else []
+    header = [name.lower() for name in lines[0][1]] if lines else []
     if sorted(header) != sorted(_COLUMNS):
         found = ",".join(header)[:80]
         raise InputError(f"{path}: expected a first line with the columns {','.join(_COLUMNS)}, found '{found}'")

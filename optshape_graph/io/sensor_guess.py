@@ -70,23 +70,43 @@ def guess_sensor(scan: Scan) -> Guess:
     if not found or not found[0][1]:
         return Guess(None, misfits)
     alone = len(found) == 1 or found[1][0] > CLEAR * max(found[0][0], SMALLEST)
-    return Guess(load_sensor(found[0][2]) if alone else None, misfits)
+    sensor = load_sensor(found[0][2])
+    numbered = scan.ring is None or _is_numbered_so(scan.ring, elevation, sensor)
+    return Guess(sensor if alone and numbered else None, misfits)
 
 
 def _of_rings(ring: Ints, elevation: Floats, sensor: SensorModel) -> float | None:
     """Return the misfit, rad, of the rings' medians to their nearest rows; None: another number or spacing of rings."""
-    present = np.unique(ring)
-    if not FEWEST_RINGS <= len(present) <= sensor.n_rings:
+    numbers, medians = _medians(ring, elevation)
+    if not FEWEST_RINGS <= len(numbers) <= sensor.n_rings:
         return None
-    medians = np.array([np.median(elevation[ring == r]) for r in present])
-    order = np.argsort(medians)
-    if len(present) == sensor.n_rings:
-        return _rms(medians[order] - sensor.elevations)
-    rows = sensor.nearest_ring(medians[order])
-    steps = np.diff(present[order])
+    if len(numbers) == sensor.n_rings:
+        return _rms(medians - sensor.elevations)
+    rows = sensor.nearest_ring(medians)
+    steps = np.diff(numbers)
     if (np.diff(rows) != np.abs(steps)).any() or len(set(np.sign(steps))) > 1:
         return None
-    return _rms(medians[order] - sensor.elevations[rows])
+    return _rms(medians - sensor.elevations[rows])
+
+
+def _is_numbered_so(ring: Ints, elevation: Floats, sensor: SensorModel) -> bool:
+    """Return whether the ring numbers of a crop may be those of the rows that its elevations are on.
+
+    Drivers count from the lowest or from the highest ring, from 0 or 1; where a 0 is there, it may be the first seen.
+    """
+    numbers, medians = _medians(ring, elevation)
+    if len(numbers) == sensor.n_rings or numbers.min() == 0:
+        return True
+    row = int(sensor.nearest_ring(medians[:1])[0])
+    return bool(numbers[0] - (row if numbers[1] > numbers[0] else sensor.n_rings - 1 - row) in (0, 1))
+
+
+def _medians(ring: Ints, elevation: Floats) -> tuple[Ints, Floats]:
+    """Return the numbers of the rings from the lowest up, and the median elevation of each, rad."""
+    present = np.unique(ring)
+    medians = np.array([np.median(elevation[ring == r]) for r in present])
+    order = np.argsort(medians)
+    return present[order], medians[order]
 
 
 def _of_elevations(elevation: Floats, sensor: SensorModel) -> float | None:

@@ -16,7 +16,7 @@ from optshape_graph.errors import InputError, expect
 from optshape_graph.io.builtin import builtin_names
 from optshape_graph.io.cameras import load_camera
 from optshape_graph.io.documents import Node, read_document
-from optshape_graph.io.markers import Markers, read_markers, states_its_units
+from optshape_graph.io.markers import UNITS, Markers, read_markers, states_its_units
 from optshape_graph.io.sensors import load_sensor
 from optshape_graph.io.targets import load_target
 from optshape_graph.se3 import as_transform
@@ -283,7 +283,9 @@ def _mocap(node: Node, targets: Mapping[str, Target]) -> Mocap:
     fields = node.entries()
     file = fields["file"].file()
     if "units" not in fields and not states_its_units(file):
-        node.fail("the key 'units' is missing")
+        node.fail(
+            f"the key 'units' is missing; expected one of {', '.join(UNITS)}, as {file.name} does not state its own"
+        )
     markers = read_markers(file, fields["units"].text() if "units" in fields else "m")
     bodies = _bodies(fields["bodies"], markers) if "bodies" in fields else {}
     if "markers" not in fields:

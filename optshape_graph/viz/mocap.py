@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 SIGMAS = 3.0
 """Standard deviations that ellipses enclose."""
 
+VISIBLE = 0.015
+"""Radius of an ellipse that shows beside a marker's dot, as a share of the target."""
+
 PANELS = (("rmse_m", 1e3, "vertices, rms (mm)"), ("e_t_m", 1e3, "translation (mm)"), ("e_r_deg", 1.0, "rotation (deg)"))
 
 
@@ -156,7 +159,8 @@ def plot_marker_layout(calibration: MocapCalibration) -> Figure:
         depth = f"{1e3 * abs(offset[0]):.0f} {'behind' if offset[0] > 0 else 'before'} the plane"
         axes.plot(*np.column_stack([vertex[1:], place]), color=colour(k), lw=1.5)
         axes.plot(*loop.T, color=colour(k), lw=1.0, ls=":")
-        axes.plot(*place, "o", color=colour(k), ms=5, label=f"{k}: {1e3 * np.linalg.norm(offset):.0f} mm, {depth}")
+        size_mm = f"{1e3 * np.linalg.norm(offset):.0f} mm ± {1e3 * sd.max():.1f}"
+        axes.plot(*place, "o", color=colour(k), ms=5, label=f"vertex {k}: {size_mm}, {depth}")
         inwards = -target.polygon[k] / np.linalg.norm(target.polygon[k])
         axes.annotate(f"{k}", tuple(vertex[1:]), textcoords="offset points", fontweight="bold",
                       xytext=(-22 * inwards[0], 22 * inwards[1]), ha="center", va="center")  # fmt: skip
@@ -165,6 +169,7 @@ def plot_marker_layout(calibration: MocapCalibration) -> Figure:
     axes.set(xlabel="y of the target (m), to the left", ylabel="z of the target (m)")
     large = "" if factor == 1 else f"; offsets drawn {factor:g} times too large"
     axes.set_title(f"markers and vertices, as the LiDAR sees them{large}")
-    title = f"from each vertex to its marker (dotted: {SIGMAS:g} standard deviations)"
-    legend_below(figure, columns=2, caption=title)
+    visible = factor * SIGMAS * float(sigma.max()) > VISIBLE * size
+    dotted = f"; dotted: {SIGMAS:g} standard deviations" if visible else ""
+    legend_below(figure, columns=2, caption=f"from each vertex to its marker, ± its largest standard deviation{dotted}")
     return figure

@@ -12,6 +12,7 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
 from optshape_graph.pose import PoseEstimate, PoseOptions
+from optshape_graph.pose.fit import Fit
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import apply, inverse
 from optshape_graph.target import Target
@@ -152,7 +153,8 @@ def plot_residuals(scan: Scan, estimate: PoseEstimate) -> Figure:
     if ends:
         _edge_residuals(panels[0], estimate)
     _plane_residuals(panels[-1], scan, estimate)
-    said = f"{INSETS}\nSo most are negative; what all have in common depends on beam and surface."
+    taken = "The boundary is taken to be half an azimuth step beyond a ring's last return."
+    said = f"{taken if estimate.inset.any() else INSETS}\nWhat all have in common (dashed) depends on beam and surface."
     legend_below(figure, *panels, columns=7, caption=said if ends else None)
     figure.suptitle(_title(scan, estimate))
     return figure
@@ -323,9 +325,19 @@ def _colon(name: str) -> str:
     return f"{short(name)}: " if name else ""
 
 
+def _fit(fit: Fit) -> str:
+    """Return a fit in a title's words: what is unusual, or how large the residuals are."""
+    if fit.flags:
+        return f"does not fit the model: {', '.join(flag.kind for flag in fit.flags)}"
+    parts = (("plane", fit.plane_chi_square, fit.plane_freedom), ("edges", fit.edge_chi_square, fit.edge_freedom))
+    return "chi-square per degree of freedom: " + ", ".join(
+        f"{name} {square / freedom:.1f}" for name, square, freedom in parts if freedom
+    )
+
+
 def _title(scan: Scan, estimate: PoseEstimate) -> str:
     distance, rings = float(np.linalg.norm(estimate.T_lidar_target[:3, 3])), estimate.edge_points.n_rings
     return (
         f"{short(scan.name)}: '{literal(estimate.target.name)}' at {distance:.2f} m, {estimate.status}; "
-        f"{estimate.n_returns} returns {f'on {rings} rings' if rings else 'without rings'}\nfit: {estimate.fit.summary}"
+        f"{estimate.n_returns} returns {f'on {rings} rings' if rings else 'without rings'}\n{_fit(estimate.fit)}"
     )

@@ -60,7 +60,8 @@ def plot_rig(result: RigCalibration, magnify: float | None = None) -> Figure:
         for number, sensor in enumerate(result.sensors):
             _frame(axes, sensor.T_base_sensor, (i, j), 0.15 * extent, first=number == 0)
             place = sensor.T_base_sensor[[i, j], 3]
-            axes.annotate(literal(sensor.name), tuple(place), textcoords="offset points", xytext=(8, -14))
+            axes.annotate(literal(sensor.name), tuple(place), textcoords="offset points", xytext=(8, -14), zorder=4,
+                          bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1.0})  # fmt: skip
             if number:
                 loop = place + magnify * ellipse(covariances[number - 1][np.ix_([i, j], [i, j])], SIGMAS)
                 axes.plot(loop[:, 0], loop[:, 1], color=GREY, lw=1.2)

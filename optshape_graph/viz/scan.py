@@ -121,7 +121,9 @@ def _drawn(scan: Scan, targets: Mapping[str, Floats]) -> tuple[Figure, Axes, Axe
     if _goes_round(points):
         above.plot(0.0, 0.0, "+", color=INK, ms=10, mew=1.5)
         reach = max([np.percentile(distance, 90), *(1.5 * np.linalg.norm(v, axis=1).max() for v in targets.values())])
-        above.set(xlim=(-reach, reach), ylim=(-reach, reach))
+        beyond = float(np.mean(np.abs(points[:, :2]).max(axis=1) > reach))
+        left_out = f" ({beyond:.0%} of the returns are beyond, to {distance.max():.0f} m)" if beyond else ""
+        above.set(xlim=(-reach, reach), ylim=(-reach, reach), title=f"from above{left_out}")
     for name, vertices in targets.items():
         closed = np.vstack([vertices, vertices[:1]])
         seen.plot(*_angles(closed), color=VERMILLION, lw=1.6)

@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from optshape_graph import PoseEstimate, estimate_pose
 from optshape_graph.cli.main import cli
 from optshape_graph.io import load_sensor, load_target, save_sensor, save_target
 from optshape_graph.io.describe import describe
+from optshape_graph.simulation import pose_from_rpy, simulate_target
 from tests.io import test_cameras as cameras
 from tests.io import test_oddities as odd
 from tests.shared import SHARED, needs_shared
@@ -45,7 +47,21 @@ FILES: dict[str, tuple[str, str | bytes, tuple[str, ...]]] = {
     "corners": ("a.csv", "vertex,u,v\n0,1,2\n", ("pixels of a target's points",)),
     "stamps": ("timestamps.txt", "1\n1.1\n", ("stamps of the files beside it", "1.000 to 1.100 s")),
     "a result": ("a.json", '{"schema": "optshape/estimate/1", "scans": [{}]}', ("optshape/estimate/1", "list of 1")),
+    "a report": ("a.html", "<!DOCTYPE html>\n<html></html>", ("web page", "bytes  29")),
+    "markers in capitals": ("a.csv", "Frame,Marker,X,Y,Z\n0,a,1,2,3\n0,b,1,2.5,3\n", ("markers (session key `mocap`)", "a, b")),
 }  # fmt: skip
+
+
+def test_a_result_has_statuses_and_a_verdict(tmp_path: Path) -> None:
+    target, sensor = load_target("paper"), load_sensor("vlp32c")
+    estimate = estimate_pose(simulate_target(target, sensor, pose_from_rpy([5.0, 0.1, 0.0], [0.1, 0.2, 0.1])), target)
+    failed = PoseEstimate.failed_entry("b.pcd", "paper", "nothing there")
+    document = {"schema": "optshape/estimate/1", "scans": [estimate.to_dict(), failed]}
+    (tmp_path / "a.json").write_text(json.dumps(document))
+    status, said = info(str(tmp_path / "a.json"))
+    assert status == 0
+    assert "list of 2, 1 ok, 1 failed" in said
+    assert "verdict  Not usable: 1 of 2 scans have a pose to be relied on" in said
 
 
 @pytest.mark.parametrize("name", FILES)

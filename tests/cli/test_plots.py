@@ -101,4 +101,4 @@ def test_pictures_in_the_format_asked_for(tmp_path):
     assert result.return_value == 0, result.output
     assert {path.suffix for path in (tmp_path / "p").iterdir()} == {".svg"}
     assert "data:image/svg+xml;base64," in (tmp_path / "r.html").read_text()
-    assert "Good: 1 of 1 scans" in result.output
+    assert "Good: 1 of 1 scan has" in result.output

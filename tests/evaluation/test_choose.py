@@ -8,9 +8,22 @@ from optshape_graph.io.targets import load_target
 
 
 @pytest.fixture(scope="module")
-def choice():
+def told():
+    """Progress of the choice: scans done, and all."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def choice(told):
     wish = Wish(load_sensor("vlp32c"), 8.0, np.radians(2.0), 0.03)
-    return choose_target(wish, [load_target("pose-optimal")])
+    return choose_target(wish, [load_target("pose-optimal")], progress=lambda *counts: told.append(counts))
+
+
+def test_progress_is_told_at_every_scan(choice, told):
+    done, total = np.array(told).T
+    assert len(told) >= 2 * SCANS // 4
+    assert (np.diff(done) > 0).all()
+    assert (done < total).all()
 
 
 def test_what_is_chosen_does_it_and_the_next_smaller_does_not(choice):

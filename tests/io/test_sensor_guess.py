@@ -48,6 +48,19 @@ def test_no_guess_of_a_tilted_cloud_or_of_a_few_rings() -> None:
     assert guess_sensor(Scan(points)).sensor is None
 
 
+@pytest.mark.parametrize(
+    ("first", "step", "told"),
+    [(8, 1, True), (9, 1, True), (0, 1, True), (6, 1, False), (31, -1, True), (29, -1, False)],
+)
+def test_ring_numbers_of_a_crop_do_not_contradict_the_guess(first: int, step: int, told: bool) -> None:
+    """Rings 8 to 29 of 40, counted from the lowest, from 1, from the first seen, and from the highest."""
+    crop = cloud_of("pandar40p", slice(8, 30))
+    assert crop.ring is not None
+    guess = guess_sensor(Scan(crop.points, first + step * (crop.ring - 8)))
+    assert (guess.sensor is not None and guess.sensor.name == "pandar40p") == told
+    assert "pandar40p" in guess.misfits
+
+
 @needs_shared
 def test_recorded_scans() -> None:
     for path in sorted((SHARED / "data" / "camera" / "scans").glob("*_full.pcd"))[:3]:

@@ -199,7 +199,7 @@ def test_real_sessions() -> None:
             "mocap_frame: expected an integer of at least 0, found -1",
         ),
         (MOCAP.replace("markers.csv", "nope.csv"), r"session\.yaml:8: mocap\.file: no such file: .*nope\.csv"),
-        (MOCAP.replace("  units: m\n", ""), "mocap: the key 'units' is missing"),
+        (MOCAP.replace("  units: m\n", ""), "mocap: the key 'units' is missing; expected one of m, cm, mm, as "),
         (
             MOCAP.replace("units: m", "units: ft"),
             r"session\.yaml:9: mocap\.units: expected one of: m, cm, mm, found 'ft'",

@@ -159,6 +159,11 @@ def test_neither_name_nor_file(name: str) -> None:
         load_target(name)
 
 
+def test_a_folder_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"a folder; expected the file of a target, or a built-in one: .*paper"):
+        load_target(tmp_path)
+
+
 @pytest.mark.parametrize("area", ["one", "-1", "0", "nan", "inf"])
 def test_areas_that_are_none(area: str) -> None:
     with pytest.raises(InputError, match=f"paper@{area}: expected NAME@AREA with the area in m2, found '{area}'"):

@@ -1,5 +1,6 @@
 """Pictures of a motion-capture calibration on the bundled session."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,15 @@ def test_methods_stand_side_by_side_even_where_one_has_no_number(calibrated):
     assert np.isnan(figure.axes[0].lines[2].get_xdata()[1:]).all()
 
 
+@pytest.mark.parametrize("sd", [1e-5, 0.05])
+def test_a_line_that_is_too_small_to_be_seen_is_not_explained(calibrated, sd):
+    _, calibration = calibrated
+    known = replace(calibration, layout_sigma=np.full_like(calibration.layout_sigma, sd))
+    (legend,) = viz.plot_marker_layout(known).legends
+    assert ("dotted" in legend.get_title().get_text()) == (sd > 0.01)
+    assert f"± {1e3 * sd:.1f}" in legend.get_texts()[0].get_text()
+
+
 def test_placements_show_targets_and_markers_in_one_frame(calibrated):
     scans, calibration = calibrated
     figure = viz.plot_placements(calibration)
@@ -64,4 +74,4 @@ def test_the_layout_tells_how_far_markers_are(calibrated):
     assert_legible(figure)
     offsets = 1e3 * np.linalg.norm(calibration.marker_layout - scans[0].estimate.target.vertices, axis=1)
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert [text.split(" mm")[0] for text in texts] == [f"{k}: {x:.0f}" for k, x in enumerate(offsets)]
+    assert [text.split(" mm")[0] for text in texts] == [f"vertex {k}: {x:.0f}" for k, x in enumerate(offsets)]

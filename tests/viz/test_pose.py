@@ -10,6 +10,7 @@ pytest.importorskip("matplotlib")
 from optshape_graph import InputError
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import Ambiguity, estimate_pose
+from optshape_graph.pose.fit import Flag
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 from optshape_graph.viz import pose as viz
 from tests.viz.legible import assert_legible
@@ -50,6 +51,17 @@ def test_the_fit_shows_every_return_and_the_template(case):
     assert np.sqrt(np.mean(depth**2)) == pytest.approx(1e3 * estimate.plane_rms)
     assert "scan.pcd: 'paper' at 6.0" in front.figure.get_suptitle()
     assert "/some" not in front.figure.get_suptitle()
+    assert "chi-square per degree of freedom: plane " in front.figure.get_suptitle()
+    flag = Flag("surface", 2.0, "a fold")
+    doubtful = replace(estimate, status="doubtful", fit=replace(estimate.fit, flags=(flag,)))
+    assert "does not fit the model: surface" in viz.plot_fit(scan, doubtful).get_suptitle()
+
+
+def test_residuals_are_said_to_be_those_of_the_boundary(case):
+    figure = viz.plot_residuals(*case)
+    caption = figure.legends[0].get_title().get_text()
+    assert "half an azimuth step beyond" in caption
+    assert "negative" not in caption
 
 
 def test_a_full_scan_is_cut_to_the_target(case):

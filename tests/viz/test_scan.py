@@ -42,6 +42,10 @@ def test_detections_are_outlined_and_rejections_crossed(simulated):
     elsewhere = [r for r in detections.rejected if np.linalg.norm(r.centre - POSES[0][:3, 3]) > 1.0]
     assert sum(len(line.get_xdata()) for line in crosses) == len(elsewhere)
     assert "1 target found" in figure.get_suptitle()
+    reach, ranges = figure.axes[1].get_xlim()[1], np.linalg.norm(simulated.scan.points, axis=1)
+    beyond = np.mean(np.abs(simulated.scan.points[:, :2]).max(axis=1) > reach)
+    said = f"from above ({beyond:.0%} of the returns are beyond, to {ranges.max():.0f} m)"
+    assert figure.axes[1].get_title() == (said if beyond else "from above")
 
 
 def test_returns_of_one_target_fill_the_picture():

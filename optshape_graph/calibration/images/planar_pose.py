@@ -76,7 +76,10 @@ def planar_poses(image: ImagePoints, camera: CameraIntrinsics) -> tuple[PlanarPo
         if _faces_camera(pose.T_camera_target) and not any(_same(pose, other) for other in poses):
             poses.append(pose)
     if not poses:
-        raise EstimationError("no pose puts the target in front of the camera with its -x side to it")
+        plane, pixels = (each - each.mean(axis=0) for each in (image.points[:, 1:], image.pixels))
+        mirrored = np.linalg.det(np.linalg.lstsq(plane, pixels, rcond=None)[0]) < 0
+        why = ": its points are numbered the other way round, or the image shows its back" if mirrored else ""
+        raise EstimationError(f"no pose puts the target in front of the camera with its -x side to it{why}")
     return tuple(sorted(poses, key=lambda pose: pose.rms_px))
 
 

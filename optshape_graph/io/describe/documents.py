@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -61,7 +62,11 @@ def _own(path: Path, kind: str, value: dict[str, Any]) -> Facts:
             "images": sum(view.image is not None for view in session.views),
             "markers": len(session.mocap.markers.names) if session.mocap else 0,
         }  # fmt: skip
-    return {key: _size(item) for key, item in value.items() if key != "schema"}
+    facts = {key: _size(item) for key, item in value.items() if key != "schema"}
+    if isinstance(scans := value.get("scans"), list):
+        statuses = Counter(str(scan["status"]) for scan in scans if isinstance(scan, dict) and "status" in scan)
+        facts["scans"] += "".join(f", {count} {status}" for status, count in statuses.items())
+    return facts
 
 
 def _printed(target: Any) -> str:

@@ -53,6 +53,8 @@ def describe(path: str | Path, columns: list[str] | None = None) -> Facts:
         return video_facts(path)
     if suffix in _MOCAP:
         return mocap_facts(path, _MOCAP[suffix])
+    if head.lstrip().lower().startswith((b"<!doctype html", b"<html")):
+        return {"form": "web page (as --report writes it)", "bytes": path.stat().st_size}
     if suffix in _DOCUMENTS or head[:1] in (b"{", b"<"):
         return document_facts(path)
     if form is not None or (suffix in ENDINGS and ENDINGS[suffix] != "text"):

@@ -45,6 +45,16 @@ def test_projection_derivative_is_the_numerical_one(camera):
         assert np.allclose(J[:, :, k], numeric, rtol=1e-6, atol=1e-3)
 
 
+def test_points_numbered_the_other_way_round_are_told():
+    T = T_CAMERA_LIDAR @ placement(np.random.default_rng(0))
+    points = chessboard_points(BOARD.chessboard)
+    pixels = project(FISHEYE, points @ T[:3, :3].T + T[:3, 3])
+    with pytest.raises(
+        EstimationError, match="its points are numbered the other way round, or the image shows its back"
+    ):
+        planar_poses(ImagePoints.of_pattern(points * [1, -1, 1], pixels, CORNER_NOISE_PX), FISHEYE)
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
 def test_the_true_pose_is_among_the_two_and_the_better_one_first(seed):
