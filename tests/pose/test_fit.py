@@ -11,7 +11,7 @@ from optshape_graph.factors import SummaryFactor, fuse_static
 from optshape_graph.graph import Observation
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import estimate_pose
-from optshape_graph.pose.fit import cut_short
+from optshape_graph.pose.fit import CUT_SHORT, cut_short
 from tests.pose.clouds import recorded_cases
 from tests.shared import needs_shared
 from tests.statistics.violations import KINDS as ALL
@@ -160,3 +160,12 @@ def test_a_view_that_is_cut_ends_short_in_one_column() -> None:
     azimuth = np.array([0.0, 1.0, 3.0, 3.1, 3.0])
     assert cut_short(azimuth, np.array([0.5, -4.0, -3.0, -4.0, 1.0]), 1.0) == pytest.approx(5.0)
     assert cut_short(azimuth, np.array([0.5, -4.0, -3.0, 0.0, 1.0]), 1.0) == 0.0
+
+
+def test_an_edge_along_a_column_of_firings_is_no_cut() -> None:
+    """Many rings end in that column, and a few of them lie short of the edge by chance; a cut takes most of them."""
+    azimuth, step = np.full(12, 0.1), 0.003
+    by_chance = np.array([-2.2, -2.1, *np.linspace(-1.2, 1.5, 10)])
+    assert cut_short(azimuth, by_chance, step) == 0.0
+    assert cut_short(azimuth[:3], np.array([-2.2, -2.3, -0.5]), step) > CUT_SHORT
+    assert cut_short(azimuth[:3], np.array([-2.9, 0.2, -0.5]), step) == 0.0
