@@ -178,7 +178,7 @@ SHEETS_APART = 2.5e-3
 
 
 CUT_SHORT = 3.0
-"""Standard deviations. Of 890 clean scans none has more. A square whose edge runs with a column of 128 rings has, in one
+"""Standard deviations. Of 890 clean scans none has more. A square whose edge runs with a column of 128 rings has in one
 scan of six, but not by half of the ends."""
 
 STRAIGHT = 0.015
