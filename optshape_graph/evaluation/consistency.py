@@ -15,7 +15,8 @@ def consistency(rows: Sequence[Row], level: float = 0.95) -> Row:
     """Compare the errors of estimates with their covariances.
 
     Args:
-        rows: from `run_simulation`, of one cell and method; failed and doubtful estimates do not count.
+        rows: from `run_simulation`, of one cell and method; only estimates that are ok count: an ambiguous one may be
+            another mode.
         level: probability of the regions whose coverage is counted.
 
     Returns:
@@ -24,7 +25,7 @@ def consistency(rows: Sequence[Row], level: float = 0.95) -> Row:
         `coverage`, the share of the errors inside their 6-dimensional region; `coverage_<axis>` for each axis; and of
         each vertex its `vertex<k>_nees_per_dof` and `vertex<k>_coverage`, of 3 degrees of freedom.
     """
-    judged = [row for row in rows if row["status"] not in ("failed", "doubtful") and row["nees"] is not None]
+    judged = [row for row in rows if row["status"] == "ok" and row["nees"] is not None]
     n = len(judged)
     if n == 0:
         return {"scans": 0}

@@ -39,6 +39,11 @@ def _off_centre(K: list[list[float]]) -> list[list[float]]:
     return K
 
 
+def _shorter(share: float) -> Callable[[list[list[float]]], list[list[float]]]:
+    """The focal length by so much."""
+    return lambda K: [[(1 - share) * K[0][0], *K[0][1:]], [K[1][0], (1 - share) * K[1][1], K[1][2]], K[2]]
+
+
 def _swapped(folder: Path) -> None:
     session = yaml.safe_load((folder / "session.yaml").read_text())
     a, b = session["views"][1], session["views"][3]
@@ -79,6 +84,8 @@ WRONG = (
           "are the intrinsics .* those of|contradict the given intrinsics"),
     Wrong("board sides 23 mm off", change("target", "vertices", _wider), r"sides of target .* by the images \(\d+ "),
     Wrong("a principal point 1 % off", change("camera", "K", _off_centre), r"principal point moves by \d+\.\d px"),
+    Wrong("a focal length 3 % short", change("camera", "K", _shorter(0.03)), r"focal length by \d\.\d+ %"),
+    Wrong("a focal length 10 % short", change("camera", "K", _shorter(0.1)), r"focal length by \d+\.\d+ %"),
     Wrong("two images swapped", _swapped, "were they swapped|disagree with the others"),
 )  # fmt: skip
 
