@@ -137,3 +137,13 @@ def test_version_is_stated_once() -> None:
     pyproject = (PACKAGE.parent / "pyproject.toml").read_text()
     assert 'dynamic = ["version"]' in pyproject
     assert optshape_graph.__version__ not in pyproject
+
+
+def test_names_of_lazy_packages_are_no_modules_of_theirs() -> None:
+    """Importing a module sets its name on the package: a function of that name would be hidden, as the order is."""
+    lazy = [path for path in PACKAGE.rglob("__init__.py") if "lazy(__name__" in path.read_text()]
+    assert len(lazy) >= 4
+    for path in lazy:
+        package = import_module(".".join(path.parent.relative_to(PACKAGE.parent).parts))
+        modules = {other.stem for other in path.parent.iterdir() if other.suffix == ".py" or other.is_dir()}
+        assert not modules & set(package.__all__), path

@@ -15,6 +15,7 @@ from typing import Any
 DISTRIBUTION = "optshape-graph"
 
 MODULES = {
+    "cyclonedx-bom": "cyclonedx_py",
     "opencv-python-headless": "cv2",
     "pymdown-extensions": "pymdownx",
     "python-neo-lzf": "lzf",

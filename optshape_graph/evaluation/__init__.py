@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from optshape_graph._lazy import lazy
 
 if TYPE_CHECKING:
-    from optshape_graph.evaluation.consistency import consistency
+    from optshape_graph.evaluation.covariances import consistency
     from optshape_graph.evaluation.harness import run_tasks
     from optshape_graph.evaluation.metrics import NormalisedError, PoseError, normalised_error, pose_error
     from optshape_graph.evaluation.mocap import evaluate_mocap, find_sessions
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from optshape_graph.evaluation.tables import Table, beside_published, by_group, summarise, write_csv, write_parquet
 
 _HOME = {
-    "consistency": "consistency",
+    "covariances": "consistency",
     "harness": "run_tasks",
     "metrics": "NormalisedError PoseError normalised_error pose_error",
     "mocap": "evaluate_mocap find_sessions",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from optshape_graph.calibration.mocap.result import LeftOut
-from optshape_graph.evaluation.consistency import consistency
+from optshape_graph.evaluation.covariances import consistency
 from optshape_graph.evaluation.harness import Row
 from optshape_graph.evaluation.mocap import PROTOCOLS, mean_errors
 from optshape_graph.evaluation.simulation import SimulationSweep
