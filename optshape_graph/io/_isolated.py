@@ -157,6 +157,7 @@ def _read_mesh(path: str) -> Arrays:
 def _read_las(path: str) -> Arrays:
     import laspy
 
+    _check_records(path)
     with laspy.open(path) as stream:
         cloud = stream.read()
     arrays = {axis: np.asarray(cloud[axis], dtype=float) for axis in "xyz"}
@@ -166,6 +167,22 @@ def _read_las(path: str) -> Arrays:
             if values.shape == arrays["x"].shape and values.any():  # a dimension that nobody filled is left out
                 arrays[name] = values
     return arrays
+
+
+_RECORDS = ((100, 54), (243, 60))
+"""Where a LAS header counts its variable length records and the extended ones (of version 1.4), and their least bytes
+(ASPRS, LAS 1.4 R15)."""
+
+
+def _check_records(path: str) -> None:
+    """Refuse a LAS header that counts more records than fit: its reader would make them all, out of nothing."""
+    size = os.path.getsize(path)
+    with open(path, "rb") as stream:
+        header = stream.read(247)
+    for place, least in _RECORDS[: 2 if header[25:26] >= b"\x04" else 1]:
+        count = int.from_bytes(header[place : place + 4], "little")
+        if count * least > size:
+            raise ValueError(f"its header counts {count} records, more than its {size} bytes hold")
 
 
 def _read_e57(path: str) -> Arrays:

@@ -81,3 +81,13 @@ def test_a_header_that_promises_much_costs_an_error(tmp_path: Path) -> None:
     (tmp_path / "a.las").write_bytes(content)
     with pytest.raises(InputError, match=r"a\.las: not a readable las file"):
         read_scan(tmp_path / "a.las")
+
+
+@pytest.mark.parametrize("place", [100, 243])
+def test_records_that_do_not_fit_are_not_looked_for(tmp_path: Path, place: int) -> None:
+    las(tmp_path / "a.las", XYZ)
+    content = bytearray((tmp_path / "a.las").read_bytes())
+    content[place : place + 4] = b"\xff" * 4
+    (tmp_path / "a.las").write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.las: not a readable las file: .*its header counts 4294967295 records"):
+        read_scan(tmp_path / "a.las")
