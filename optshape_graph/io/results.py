@@ -36,11 +36,11 @@ class Result(Value):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data, with the keys of its file."""
-        raise NotImplementedError
+        raise NotImplementedError  # each kind of result has its own
 
     def rows(self) -> list[Row]:
         """Return the result as a table: one row for each scan, target, view or landmark."""
-        raise NotImplementedError
+        raise NotImplementedError  # each kind of result has its own
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return `rows` as a data frame.

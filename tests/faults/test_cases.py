@@ -198,7 +198,7 @@ def test_methods_and_backends_that_are_none_are_refused(option: str, value: str,
 
     scan = read_scan(world / "4m.pcd", load_sensor("vlp32c"))
     with pytest.raises(InputError, match=option):
-        estimate_pose(scan, load_target("built"), **{option: value})  # type: ignore[arg-type]
+        estimate_pose(scan, load_target("built"), **{option: value})  # type: ignore[arg-type]  # on purpose
 
 
 def test_results_on_a_device_leave_nothing_beside_it(world: Path) -> None:
