@@ -41,7 +41,7 @@ from optshape_graph.factors import RANGE_BIAS
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import About, Session, load_session
 from optshape_graph.runs.kept import Kept
-from optshape_graph.se3 import adjoint, inverse
+from optshape_graph.se3 import inverse
 
 MANY = 0.1
 """Share of the sightings that contradict the others from which stamps may be shifted."""
@@ -109,7 +109,7 @@ def calibrate(read: Read, session: Session, options: Options | None = None) -> R
         next_placement=None,
         findings=rig.findings,
     )
-    result = replace(result, next_placement=suggest_placement(result, solved, _information(solved)))
+    result = replace(result, next_placement=suggest_placement(result, solved))
     used = [start.sightings[number] for number in solved.chi2]
     return replace(result, findings=(*rig.findings, *judge(result, doubts(used), freedom)))
 
@@ -288,15 +288,3 @@ def _result(sighting: Sighting, used: bool, reason: str, off: Off | None) -> Sig
     return SightingResult(
         sighting.sensor, sighting.target.name, sighting.placement, sighting.file, used, reason, *numbers
     )
-
-
-def _information(solved: RigSolution) -> dict[int, Floats]:
-    """Of each sighting, by number, the information (6, 6) on its own T_sensor_target, right perturbation."""
-    found = {}
-    for number, link in solved.linked.items():
-        R = link.by_pose
-        sighting = solved.graph.start.sightings[number]
-        if sighting.relative:  # (T Exp(x))^-1 = T^-1 Exp(-Ad(T) x)
-            R = R @ adjoint(sighting.pose)
-        found[number] = R.T @ R
-    return found
