@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +20,6 @@ from optshape_graph.calibration.rig.graph import Options, RigGraph, RigSolution
 from optshape_graph.calibration.rig.judgement import (
     check_numbers,
     check_sensors,
-    doubts,
     judge,
     middle_of,
     scatter_of,
@@ -43,8 +43,8 @@ from optshape_graph.io.sessions import About, Session, load_session
 from optshape_graph.runs.kept import Kept
 from optshape_graph.se3 import inverse
 
-MANY = 0.1
-"""Share of the sightings that contradict the others from which stamps may be shifted."""
+MANY = 0.2
+"""Share of a sensor's sightings that contradict the others from which its stamps may be shifted."""
 
 
 def calibrate_rig(
@@ -111,7 +111,7 @@ def calibrate(read: Read, session: Session, options: Options | None = None) -> R
     )
     result = replace(result, next_placement=suggest_placement(result, solved))
     used = [start.sightings[number] for number in solved.chi2]
-    return replace(result, findings=(*rig.findings, *judge(result, doubts(used), freedom)))
+    return replace(result, findings=(*rig.findings, *judge(result, used, freedom)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -184,8 +184,11 @@ def _solve_rig(read: Read, session: Session, options: Options) -> SolvedRig:
         solved, clocks = solve_moving(graph, moving, offsets)
         return SolvedRig(sensors, solved, {}, clocks, (*findings, *_of_lenses(lenses, solved)))
     solved, left = solve_robustly(graph)
-    if len(left) > MANY * len(still) and (shifted := shifted_stamps(still, session.platform_moves)):
-        findings.append(Finding(shifted, True))
+    seen = Counter(s.sensor for s in start.sightings)
+    contradicting = Counter(start.sightings[number].sensor for number in left)
+    if any(contradicting[name] > MANY * seen[name] for name in seen):
+        shifted = shifted_stamps(still, session.platform_moves)
+        findings += [Finding(shifted, True)] if shifted else []
     findings += [*_of_lenses(lenses, solved), *_of_discrepancies(solved)]
     return SolvedRig(sensors, solved, left, Clocks(), tuple(findings))
 
