@@ -16,7 +16,7 @@ from optshape_graph.calibration.camera.session import Progress
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.calibration.rig.discrepancy import settled
-from optshape_graph.calibration.rig.graph import Options, RigGraph, RigSolution
+from optshape_graph.calibration.rig.graph import Options, RigGraph
 from optshape_graph.calibration.rig.judgement import (
     check_numbers,
     check_sensors,
@@ -33,6 +33,7 @@ from optshape_graph.calibration.rig.reading import Read, read_sightings
 from optshape_graph.calibration.rig.result import RigCalibration, RigSensor, RingError, SightingResult
 from optshape_graph.calibration.rig.robust import solve_robustly
 from optshape_graph.calibration.rig.sightings import Kind, Sighting
+from optshape_graph.calibration.rig.solution import RigSolution
 from optshape_graph.calibration.rig.stamps import shifted_stamps
 from optshape_graph.calibration.rig.start import Start, connected_by, find_start
 from optshape_graph.calibration.verdict import Finding
@@ -140,7 +141,18 @@ class SolvedRig(Value):
 
 
 def solve_rig(read: Read, session: Session, options: Options) -> SolvedRig:
-    """Connect a rig's sensors, and solve its graph; see `calibrate`."""
+    """Connect a rig's sensors, and solve its graph; see `calibrate`.
+
+    Args:
+        read: the sightings.
+        session: what else is said of them.
+        options: what is assumed.
+
+    Raises:
+        EstimationError: there is one placement only, a sensor saw no target, or the views contradict each other; the
+            message begins with the session's file, and names the sensors whose stamps are shifted, if that explains it.
+        UnobservableError: nothing connects some sensor with the others.
+    """
     try:
         return _solve_rig(read, session, options)
     except EstimationError as error:

@@ -10,10 +10,10 @@ from scipy.stats import chi2
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.free_shape import wrong_size
-from optshape_graph.calibration.rig.graph import RigSolution
 from optshape_graph.calibration.rig.reading import Read
 from optshape_graph.calibration.rig.result import RigCalibration, RingError
 from optshape_graph.calibration.rig.sightings import Sighting
+from optshape_graph.calibration.rig.solution import RigSolution
 from optshape_graph.calibration.verdict import Finding, of_doubts
 from optshape_graph.errors import EstimationError
 

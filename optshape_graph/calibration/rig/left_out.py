@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.rig.graph import Linked, RigSolution
 from optshape_graph.calibration.rig.sightings import Sighting
+from optshape_graph.calibration.rig.solution import Linked, RigSolution
 
 MOST_UNKNOWNS = 1200
 """Unknowns up to which placements are left out: matrices are dense."""

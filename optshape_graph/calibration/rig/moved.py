@@ -10,10 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.rig.graph import RigGraph, RigSolution
+from optshape_graph.calibration.rig.graph import RigGraph
 from optshape_graph.calibration.rig.judgement import scatter_of
 from optshape_graph.calibration.rig.left_out import dense_information, rows_of
 from optshape_graph.calibration.rig.sightings import Sighting
+from optshape_graph.calibration.rig.solution import RigSolution
+from optshape_graph.calibration.rig.solve import solve_graph
 from optshape_graph.calibration.rig.start import Start
 from optshape_graph.calibration.verdict import Finding
 from optshape_graph.se3 import angle, difference, exp, inverse
@@ -95,7 +97,7 @@ def moved_about_platform(graph: RigGraph) -> tuple[RigGraph, list[Finding]]:
     """
     wrong, found = set[int](), list[Moved]()
     for _ in range(MOST):
-        solved = replace(graph, loss=np.inf).solve(set(range(len(graph.start.sightings))) - wrong)
+        solved = solve_graph(replace(graph, loss=np.inf), set(range(len(graph.start.sightings))) - wrong)
         scatter, freedom = scatter_of(solved)
         best = _likeliest(solved)
         if best is None or best.gain < UNLIKELY * max(1.0, scatter - best.gain / freedom):

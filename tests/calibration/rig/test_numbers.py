@@ -20,6 +20,7 @@ from optshape_graph.calibration.rig.calibrate import solve_rig
 from optshape_graph.calibration.rig.discrepancy import settled
 from optshape_graph.calibration.rig.graph import Options
 from optshape_graph.calibration.rig.reading import read_sightings
+from optshape_graph.calibration.rig.solve import solve_graph
 from optshape_graph.evaluation.rigs import Carried, SimulatedRig, placements, two_targets
 from optshape_graph.io import load_session, load_target
 from optshape_graph.se3 import transform
@@ -145,7 +146,7 @@ def test_the_camera_recording():
         if not isinstance(sighting.seen, TargetInScan) or sighting.file not in used:
             continue
         pair = [k for k, other in enumerate(sightings) if other.placement == sighting.placement]
-        rest = graph.solve(set(come_solved.chi2) - set(pair), come_solved.solution.values)
+        rest = solve_graph(graph, set(come_solved.chi2) - set(pair), come_solved.solution.values)
         (m,) = [k for k in pair if k != n]
         image = sightings[m]
         rig = Rig(
