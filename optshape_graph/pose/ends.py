@@ -72,6 +72,30 @@ class EdgeGeometry(Value):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class Padding(Value):
+    """How rows of B scans, in different numbers, lie side by side in arrays of as many each.
+
+    Attributes:
+        there: (B, M) whether there is such a row.
+        index: (B, M) which row it is of all scans', one after the other; a row that is like it where there is none.
+    """
+
+    there: Bools
+    index: Ints
+
+    @classmethod
+    def of(cls, counts: Sequence[int]) -> Padding:
+        """Lay out so many rows of each scan."""
+        count = np.array(counts)[:, None]
+        row = np.arange(count.max())
+        return cls(row < count, np.maximum(np.cumsum(count)[:, None] - count + np.minimum(row, count - 1), 0))
+
+    def padded(self, arrays: Sequence[Floats]) -> Floats:
+        """Return arrays of the scans, each (its own number, ...), as one (B, M, ...)."""
+        return np.concatenate(arrays)[self.index]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class RingEnds(Value):
     """Ring ends of B scans, of targets with as many edges; B = 1 stands for any number of candidates.
 
@@ -142,49 +166,63 @@ class RingEnds(Value):
     elevations: Floats
 
     @classmethod
-    def of(
-        cls,
-        edges: EdgePoints,
-        target: Target,
-        plane: Floats,
-        beam: Beam,
-        options: PoseOptions,
-        sensor: SensorModel | None,
-        ring_shifts: Floats,
-    ) -> RingEnds:
-        """Return the ring ends of one scan; see `Problem`."""
-        ranges = np.linalg.norm(edges.points, axis=1)
-        blooming = np.where(np.abs(edges.side) < UP, beam.blooming, 0.0)
-        up, left = angle_sds(sensor, edges.ring)
-        rings = edges.ring[np.abs(edges.side) < UP]
-        outer = np.zeros(0) if sensor is None else np.delete(sensor.elevations, slice(rings[0], rings[-1] + 1))
-        one = {
-            "there": np.ones(len(edges), dtype=bool), "points": edges.points, "sweep": edges.sweep,
-            "leftward": leftward(edges.points), "upward": upward(edges.points), "ranges": ranges,
-            "beam": beam.width(ranges), "lower": edges.lower, "width": edges.width,
-            "step": np.maximum(edges.width, edges.azimuth_step), "scatter": edges.scatter, "elevation_sd": up,
-            "azimuth_sd": left, "by_shift": np.column_stack([blooming, ring_shifts]), "plane": plane,
-            "normals": target.normals, "offsets": target.offsets, "vertices": target.vertices,
-            "common_elevation_sd": 0.0 if sensor is None else sensor.common_elevation_sd,
-            "common_azimuth_sd": 0.0 if sensor is None else sensor.common_azimuth_sd, "flatness": options.flatness,
-            "beam_offset": beam.offset, "offset_sd": beam.common, "lost_ends": options.lost_ends,
-            "lost_span": options.lost_span, "azimuth_step": edges.azimuth_step,
-            "reference_azimuth": edges.reference_azimuth, "beam_angle": np.mean(beam.width(ranges) / ranges),
-            "lost_rings": edges.lost_rings, "silent": np.ones(len(outer), dtype=bool), "elevations": outer,
-        }  # fmt: skip
-        return cls(**{name: np.asarray(values)[None] for name, values in one.items()})
-
-    @classmethod
-    def side_by_side(cls, scans: Sequence[RingEnds]) -> RingEnds:
-        """Return the ring ends of several scans, whose targets have as many edges."""
-        if len(scans) == 1:
-            return scans[0]
-        made = {}
-        for field in fields(cls):
-            arrays = [getattr(scan, field.name) for scan in scans]
-            shape = np.max([array.shape for array in arrays], axis=0)
-            made[field.name] = np.concatenate([_padded(array, shape, field.name) for array in arrays])
-        return cls(**made)
+    def of(cls, problems: Sequence[Problem]) -> RingEnds:
+        """Return the ring ends of several scans, whose targets have as many edges, side by side."""
+        edges, targets, beams, options, sensors, shifts = (
+            [getattr(one, name) for one in problems]
+            for name in ("edges", "target", "beam", "options", "sensor", "ring_shifts")
+        )
+        ends = Padding.of([len(one) for one in edges])
+        points, lower, upper, scatter, side = (
+            ends.padded([getattr(one, name) for one in edges])
+            for name in ("points", "lower", "upper", "scatter", "side")
+        )
+        by_elevation, by_azimuth = upward(points), leftward(points)
+        along_ring = np.abs(side) < UP
+        sweep = np.where(along_ring[..., None], by_azimuth, by_elevation) * np.sign(side)[..., None]
+        angles = [angle_sds(sensor, one.ring) for sensor, one in zip(sensors, edges, strict=True)]
+        by_shift = np.zeros((*ends.there.shape, 1 + max(one.shape[1] for one in shifts)))
+        by_shift[..., 0] = along_ring * np.array([[beam.blooming] for beam in beams])
+        for moved, one in zip(by_shift, shifts, strict=True):
+            moved[: len(one), 1 : 1 + one.shape[1]] = one
+        outer = [_beside(*pair) for pair in zip(edges, sensors, strict=True)]
+        silent = Padding.of([len(one) for one in outer])
+        ranges = np.sqrt((points * points).sum(axis=-1))
+        width = np.stack([beam.width(at) for beam, at in zip(beams, ranges, strict=True)])
+        step = np.array([one.azimuth_step for one in edges])
+        return cls(
+            there=ends.there,
+            points=points,
+            sweep=sweep,
+            leftward=by_azimuth,
+            upward=by_elevation,
+            ranges=ranges,
+            beam=width,
+            lower=lower,
+            width=upper - lower,
+            step=np.maximum(upper - lower, step[:, None]),
+            scatter=scatter,
+            elevation_sd=ends.padded([up for up, _ in angles]),
+            azimuth_sd=ends.padded([left for _, left in angles]),
+            by_shift=by_shift,
+            plane=np.stack([one.plane for one in problems]),
+            normals=np.stack([target.normals for target in targets]),
+            offsets=np.stack([target.offsets for target in targets]),
+            vertices=np.stack([target.vertices for target in targets]),
+            common_elevation_sd=np.array([sensor.common_elevation_sd if sensor else 0.0 for sensor in sensors]),
+            common_azimuth_sd=np.array([sensor.common_azimuth_sd if sensor else 0.0 for sensor in sensors]),
+            flatness=np.array([one.flatness for one in options]),
+            beam_offset=np.array([beam.offset for beam in beams]),
+            offset_sd=np.array([beam.common for beam in beams]),
+            lost_ends=np.array([one.lost_ends for one in options]),
+            lost_span=np.array([one.lost_span for one in options]),
+            azimuth_step=step,
+            reference_azimuth=np.array([one.reference_azimuth for one in edges]),
+            beam_angle=(ends.there * width / ranges).sum(axis=1) / ends.there.sum(axis=1),
+            lost_rings=np.array([one.lost_rings for one in edges]),
+            silent=silent.there,
+            elevations=silent.padded(outer),
+        )
 
     def take(self, scan: Ints) -> RingEnds:
         """Return the ring ends of each candidate (C,) by the scan that it is of; of one scan, themselves."""
@@ -297,7 +335,7 @@ class Problem(Value):
     @cached_property
     def ends(self) -> RingEnds:
         """The ring ends as arrays of one scan."""
-        return RingEnds.of(self.edges, self.target, self.plane, self.beam, self.options, self.sensor, self.ring_shifts)
+        return RingEnds.of([self])
 
     def geometry(self, T: Floats, labels: Ints | None = None) -> EdgeGeometry:
         """Look at the ring ends from poses (C, 4, 4); without labels, a ring ends on the edge it leaves by first."""
@@ -422,12 +460,7 @@ def _strain(rows: Floats) -> tuple[float, float]:
     return float(np.hypot(*x)), f_tail(F, 2, freedom)
 
 
-def _padded(array: Floats, shape: Ints, name: str) -> Floats:
-    """Return an array (1, ...) made as large as a shape: by its first entries, by zeros where it has to be nothing."""
-    missing = [(0, int(size) - have) for size, have in zip(shape[1:], array.shape[1:], strict=True)]
-    if not any(count for _, count in missing):
-        return array
-    nothing = name in ("there", "silent") or not array.size
-    if name == "by_shift":  # a ring's shift that isn't there moves nothing
-        array, missing[1] = np.pad(array, [(0, 0), (0, 0), missing[1]]), (0, 0)
-    return np.pad(array, [(0, 0), *missing], mode="constant" if nothing else "edge")
+def _beside(edges: EdgePoints, sensor: SensorModel | None) -> Floats:
+    """(O,) elevations, rad, of a sensor's rings above and below those with returns; none of an unknown one's."""
+    rings = edges.ring[np.abs(edges.side) < UP]
+    return np.zeros(0) if sensor is None else np.delete(sensor.elevations, slice(rings[0], rings[-1] + 1))

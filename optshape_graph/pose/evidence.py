@@ -160,7 +160,7 @@ def measure(
 
 def ends_of(evidences: Sequence[Evidence]) -> RingEnds:
     """Return the bounded ring ends of scans whose targets have as many edges, side by side."""
-    return RingEnds.side_by_side([evidence.bounded.ends for evidence in evidences])
+    return RingEnds.of([evidence.bounded for evidence in evidences])
 
 
 def _bounded(edges: EdgePoints, scan: Scan) -> EdgePoints:
