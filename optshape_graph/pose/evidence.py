@@ -161,7 +161,8 @@ def measure(
 
 def ends_of(evidences: Sequence[Evidence]) -> RingEnds:
     """Return the bounded ring ends of scans whose targets have as many edges, side by side."""
-    return RingEnds.of([evidence.bounded for evidence in evidences])
+    problems = [evidence.bounded for evidence in evidences]
+    return problems[0].ends if len(problems) == 1 else RingEnds.of(problems)
 
 
 def _bounded(edges: EdgePoints, scan: Scan) -> EdgePoints:
