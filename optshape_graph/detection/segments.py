@@ -152,7 +152,7 @@ def order_scan(scan: Scan, options: DetectionOptions) -> OrderedScan:
     by_ring = np.argsort(scan.ring.astype(np.uint16), kind="stable")
     order = by_ring[np.argsort(_position(scan.ring, azimuth)[by_ring], kind="stable")]
     points, ring, azimuth = scan.points[order], scan.ring[order], azimuth[order]
-    ranges = np.sqrt((points * points).sum(axis=1))
+    ranges = np.sqrt(np.einsum("ni,ni->n", points, points))
     resolution = _resolution(scan, azimuth, ring)
     starts = _starts(ring, azimuth, ranges, resolution, options)
     elevations = scan.sensor.elevations if scan.sensor is not None else _elevations(points, ranges, ring)
