@@ -3,8 +3,8 @@
 SciPy has the same, but importing `scipy.special` takes longer than estimating a pose, and most runs estimate few.
 
 With t = |x| / sqrt(2) the smaller tail is erfc(t) / 2 = exp(-t^2) S(t) / 2. The scaled tail S is smooth and falls like
-1 / t: for all t >= 0, (1 + t) S(t) is one ratio of polynomials in y = (t - 3) / (t + 3), which runs from -1 to 1 (Shepherd
-and Laframboise, Math. Comp. 36, 1981, have the variable; the coefficients are fitted to 2e-16 of S).
+1 / t: for all t >= 0, (1 + t) S(t) is one ratio of polynomials in y = (t - 3) / (t + 3), from -1 to 1 (the variable of
+Shepherd and Laframboise, Math. Comp. 36, 1981; the coefficients are fitted to 2e-16 of S).
 """
 
 from __future__ import annotations

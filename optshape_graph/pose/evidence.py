@@ -19,8 +19,7 @@ from optshape_graph.factors.measurement import TemplateMeasurement
 from optshape_graph.factors.plane_returns import PlaneReturns, elevation_bands, plane_measurement, returns_on_plane
 from optshape_graph.factors.static import SURFACE, BiasedMeasurement, SharedError
 from optshape_graph.plane import ReturnsPlane, fit_plane
-from optshape_graph.pose.ends import Problem, RingEnds
-from optshape_graph.pose.ends_fit import SEEN, EndsFit
+from optshape_graph.pose.ends import SEEN, EndsFit, Problem, RingEnds
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.surface import PlaneResiduals, Surface
 from optshape_graph.scan import Scan

@@ -20,17 +20,15 @@ from optshape_graph.edges import UP
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.static import OUTER_EDGE, SharedError, angle_errors
 from optshape_graph.pose.association import enumerate_poses
-from optshape_graph.pose.evidence import Evidence, ends_of
-from optshape_graph.pose.firings import Firings
-from optshape_graph.pose.mixture import Components, LogDensity, Samples, sample
-from optshape_graph.pose.propagation import (
+from optshape_graph.pose.ends import (
     Posterior,
     alternative_labels,
     concatenate,
     firsts,
     work_out,
 )
-from optshape_graph.pose.rays import Rays
+from optshape_graph.pose.evidence import Evidence, ends_of
+from optshape_graph.pose.sampling import Components, Firings, LogDensity, Rays, SampledPose, Samples, sample
 from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, vec, vec_derivative
 from optshape_graph.sensor import SensorModel, angle_sds
 from optshape_graph.target import Target
@@ -73,26 +71,6 @@ NOTHING = 1e-12
 
 ASKED = 256
 """Samples that are asked on which edge each ring ends."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SampledPose(Value):
-    """What samples say of the best mode.
-
-    Attributes:
-        T_target_lidar: (4, 4) posterior mean.
-        offset: mean of the offset across the edges, in beam widths.
-        covariance: (7, 7) of the right perturbation of T_target_lidar, rotation first, and of the offset.
-        errors: (K,) what other scans of the sensor or of the scene share: where rings look, and where the target ends.
-        effect: (7, K) how far the truth lies from pose (rad, metres) and offset (beam widths) for a standard deviation
-            of each.
-    """
-
-    T_target_lidar: Floats
-    offset: float
-    covariance: Floats
-    errors: tuple[SharedError, ...]
-    effect: Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)

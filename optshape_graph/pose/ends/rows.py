@@ -18,8 +18,8 @@ from optshape_graph.factors.static import (
     SharedError,
     angle_errors,
 )
-from optshape_graph.pose.ends import EdgeGeometry, Problem, RingEnds
-from optshape_graph.pose.propagation import Posterior
+from optshape_graph.pose.ends.propagation import Posterior
+from optshape_graph.pose.ends.ring_ends import EdgeGeometry, Problem, RingEnds
 
 
 @dataclass(frozen=True, eq=False, repr=False)
