@@ -283,6 +283,13 @@ class BiasedMeasurement(Value):
         """Return the measurement of one scan alone: all errors are its own."""
         return self.marginal(1.0)
 
+    def quadratic(self) -> Floats:
+        """Return the quadratic form (13, 13) in [z; 1] of one scan alone; see `TemplateMeasurement.quadratic`."""
+        k = len(self.shared)
+        G = self.stack.T @ self.stack
+        G[np.arange(k), np.arange(k)] += 1.0
+        return np.asarray(G[k:, k:] - G[k:, :k] @ np.linalg.solve(G[:k, :k], G[:k, k:]))
+
 
 def angle_entries(
     by_elevation: Floats, by_azimuth: Floats, ring: Ints, sensor: SensorModel | None
