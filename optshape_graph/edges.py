@@ -130,15 +130,17 @@ class EdgePoints(Value):
 
 
 def leftward(points: Floats) -> Floats:
-    """Return the motion (N, 3), metres per radian, of points (N, 3) as their azimuth grows."""
-    return np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
+    """Return the motion (..., 3), metres per radian, of points (..., 3) as their azimuth grows."""
+    moved = np.zeros(points.shape)
+    moved[..., 0], moved[..., 1] = -points[..., 1], points[..., 0]
+    return moved
 
 
 def upward(points: Floats) -> Floats:
-    """Return the motion (N, 3), metres per radian, of points (N, 3) as their elevation grows at constant range."""
-    x, y, z = points.T
-    flat = np.hypot(x, y)
-    return np.column_stack([-x * z / flat, -y * z / flat, flat])
+    """Return the motion (..., 3), metres per radian, of points (..., 3) as their elevation grows at constant range."""
+    flat, moved = np.hypot(points[..., 0], points[..., 1]), np.empty(points.shape)
+    moved[..., :2], moved[..., 2] = points[..., :2] * (-points[..., 2] / flat)[..., None], flat
+    return moved
 
 
 def relative_azimuth(points: Floats) -> tuple[Floats, float]:

@@ -43,19 +43,20 @@ def checked_keys(*keys: int) -> None:
 
 
 def triangular(stack: Floats) -> Floats:
-    """Return the (n, n) upper triangular factor of rows (m, n): the same quadratic form, whatever m is.
+    """Return the (..., n, n) upper triangular factors of rows (..., m, n): the same quadratic form, whatever m is.
 
-    Tall stacks are reduced in blocks that stay in cache (tall-skinny QR; Demmel et al., SIAM J. Sci. Comput. 2012),
+    A tall stack is reduced in blocks that stay in cache (tall-skinny QR; Demmel et al., SIAM J. Sci. Comput. 2012),
     which is faster than one factorisation and keeps a threaded BLAS from being started for thin panels.
     """
-    n = stack.shape[1]
+    n = stack.shape[-1]
     block = 8 * n
-    while len(stack) > 2 * block:
+    while stack.ndim == 2 and len(stack) > 2 * block:
         whole = len(stack) // block * block
         blocks = factored(stack[:whole].reshape(-1, block, n))
         stack = np.vstack([blocks.reshape(-1, n), stack[whole:]])
-    R = factored(stack) if len(stack) else stack
-    return R if len(R) == n else np.vstack([R, np.zeros((n - len(R), n))])
+    R = factored(stack) if stack.size else stack
+    missing = n - R.shape[-2]
+    return np.concatenate([R, np.zeros((*R.shape[:-2], missing, n))], axis=-2) if missing else R
 
 
 def compressed(stack: Floats, group: Ints) -> tuple[Floats, Ints]:

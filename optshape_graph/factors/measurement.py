@@ -12,6 +12,7 @@ so all whitened rows of a scan stack into [A | r], whose triangular factor [L b;
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -250,27 +251,41 @@ class TemplateMeasurement(Value):
         return self.stack.T @ self.stack
 
 
-def refine(measurement: TemplateMeasurement, iterations: int = 20) -> Floats:
-    """Return the T_target_lidar (4, 4) nearest to where a measurement was taken that minimises its error.
+def refine(measurement: TemplateMeasurement) -> Floats:
+    """Return the T_target_lidar (4, 4) nearest to where a measurement was taken that minimises its error."""
+    return np.asarray(refine_all([measurement])[0])
+
+
+def refine_all(measurements: Sequence[TemplateMeasurement], iterations: int = 20) -> Floats:
+    """Return the T_target_lidar (B, 4, 4) nearest to where measurements were taken that minimise the error of each.
 
     Gauss-Newton steps on the compressed rows, with Levenberg's damping where they do not lead down.
     """
-    T, damping = measurement.T_target_lidar, 1e-12
-    error = measurement.error(T)
+    T, L, b = (np.stack([getattr(one, name) for one in measurements]) for name in ("T_target_lidar", "L", "b"))
+    residual = _residuals(L, b, T)
+    error, damping = (residual**2).sum(axis=1), np.full(len(T), 1e-12)
+    going = np.arange(len(T))
     for _ in range(iterations):
-        J = measurement.jacobian(T)
-        information = J.T @ J
-        damped = information + damping * np.trace(information) * np.eye(6)
-        step = -np.linalg.solve(damped, J.T @ measurement.residual(T))
-        candidate = T @ exp(step)
-        new = measurement.error(candidate)
-        if new <= error:
-            T, error, damping = candidate, new, max(damping / 10, 1e-12)
-        else:
-            damping = max(10 * damping, 1e-8)
-        if np.abs(step).max() < 1e-9 or damping > 1.0:
+        J = L[going] @ vec_derivative(T[going])
+        information, pull = np.swapaxes(J, 1, 2) @ J, np.swapaxes(J, 1, 2) @ residual[going, :, None]
+        trace = np.trace(information, axis1=1, axis2=2)
+        step = -np.linalg.solve(information + (damping[going] * trace)[:, None, None] * np.eye(6), pull)[..., 0]
+        candidate = T[going] @ exp(step)
+        left = _residuals(L[going], b[going], candidate)
+        new = (left**2).sum(axis=1)
+        down = new <= error[going]
+        lower = going[down]
+        T[lower], residual[lower], error[lower] = candidate[down], left[down], new[down]
+        damping[going] = np.where(down, np.maximum(damping[going] / 10, 1e-12), np.maximum(10 * damping[going], 1e-8))
+        going = going[(np.abs(step).max(axis=1) >= 1e-9) & (damping[going] <= 1.0)]
+        if not len(going):
             break
-    return np.asarray(T)
+    return T
+
+
+def _residuals(L: Floats, b: Floats, T: Floats) -> Floats:
+    """Return L z + b (B, 12) at poses (B, 4, 4)."""
+    return np.asarray((L @ vec(T)[..., None])[..., 0] + b)
 
 
 class Measured(Protocol):

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from operator import add
 
 import numpy as np
@@ -273,22 +273,18 @@ class BiasedMeasurement(Value):
         sigmas = np.broadcast_to(np.asarray(sigma, float), (k,))
         if not (np.isfinite(sigmas).all() and (sigmas >= 0).all()):
             raise InputError(f"standard deviations of shared errors are {sigmas}; expected finite numbers >= 0")
-        # In units of sigma the prior's rows are the identity, and sigma = 0 needs no special case.
-        unit = self.stack.copy()
-        unit[:, :k] *= sigmas
-        R = triangular_by_parts(np.vstack([np.eye(k, k + 13), unit]), k)
-        return TemplateMeasurement.from_stack(R[k:, k:], self.n_rows, self.T_target_lidar)
+        B = self.stack[:k, :k] * sigmas
+        root = np.linalg.cholesky(np.eye(k) + B @ B.T)  # of what the first k rows are off by
+        rows = np.vstack([np.linalg.solve(root, self.stack[:k, k:]), self.stack[k:, k:]])
+        return TemplateMeasurement.from_stack(rows, self.n_rows, self.T_target_lidar)
 
     def of_one_scan(self) -> TemplateMeasurement:
         """Return the measurement of one scan alone: all errors are its own."""
-        return self.marginal(1.0)
+        return self._of_one_scan
 
-    def quadratic(self) -> Floats:
-        """Return the quadratic form (13, 13) in [z; 1] of one scan alone; see `TemplateMeasurement.quadratic`."""
-        k = len(self.shared)
-        G = self.stack.T @ self.stack
-        G[np.arange(k), np.arange(k)] += 1.0
-        return np.asarray(G[k:, k:] - G[k:, :k] @ np.linalg.solve(G[:k, :k], G[:k, k:]))
+    @cached_property
+    def _of_one_scan(self) -> TemplateMeasurement:
+        return self.marginal(1.0)
 
 
 def angle_entries(

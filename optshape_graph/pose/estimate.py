@@ -9,7 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError, expect
-from optshape_graph.pose.certificate import NOT_TIGHT, Backend, certify
+from optshape_graph.pose.certificate import NOT_TIGHT, Backend, certify_all
 from optshape_graph.pose.containment import find_by_containment
 from optshape_graph.pose.evidence import Evidence, Finding, measure
 from optshape_graph.pose.fit import Fit, measure_fit
@@ -144,16 +144,19 @@ def conclude(findings: Sequence[Finding], backend: Backend) -> list[PoseEstimate
     covariance = inverse_covariance(T_target_lidar, np.linalg.inv(information))
     unobservable = _unobservable(findings, covariance)
     uncertain = _too_uncertain(findings, covariance)
+    certificates = certify_all(
+        [found.exact for found in findings],
+        T_target_lidar,
+        [found.total_weight for found in findings],
+        backend,
+        [found.evidence.problem.options.certified_gap for found in findings],
+    )
     estimates: list[PoseEstimate | EstimationError] = []
-    for k, (found, fit) in enumerate(zip(findings, measure_fit(findings), strict=True)):
-        evidence, problem = found.evidence, found.evidence.problem
-        try:
-            certificate = certify(
-                found.exact, T_target_lidar[k], found.total_weight, backend, problem.options.certified_gap
-            )
-        except EstimationError as error:
-            estimates.append(error)
+    for k, (found, fit, certificate) in enumerate(zip(findings, measure_fit(findings), certificates, strict=True)):
+        if isinstance(certificate, EstimationError):
+            estimates.append(certificate)
             continue
+        evidence, problem = found.evidence, found.evidence.problem
         status, reason = _verdict(found, fit, unobservable[k], uncertain[k])
         if status == "ok" and not certificate.certified:
             reason = NOT_TIGHT

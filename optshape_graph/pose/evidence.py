@@ -22,7 +22,8 @@ from optshape_graph.factors.plane_returns import PlaneReturns, elevation_bands, 
 from optshape_graph.factors.static import SURFACE, BiasedMeasurement, SharedError
 from optshape_graph.groups import Groups
 from optshape_graph.plane import ReturnsPlane, fit_planes
-from optshape_graph.pose.ends import SEEN, EndsFit, Problem, RingEnds
+from optshape_graph.pose.ends import Problem, RingEnds
+from optshape_graph.pose.ends_fit import SEEN, EndsFit
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.surface import PlaneResiduals, Sheets, Surface
 from optshape_graph.ring_returns import RingReturns
@@ -223,7 +224,7 @@ def _measure_together(
         ends, sensor, own = edges[k], scan.sensor, returns.of_scan(k)
         if noise:
             ends = place_on_firings(ends, own, noise)
-        problem = Problem(ends, target, measurements[k].quadratic(), Beam.of(sensor), options, sensor)
+        problem = Problem(ends, target, measurements[k].of_one_scan().quadratic(), Beam.of(sensor), options, sensor)
         bounded = problem if noise or not ringed else replace(problem, edges=_bounded(ends, own))
         found.append(
             Evidence(
@@ -257,7 +258,7 @@ def _as_seen(returns: PlaneReturns, residuals: PlaneResiduals, scan: Scan, norma
 
 def ends_of(evidences: Sequence[Evidence]) -> RingEnds:
     """Return the bounded ring ends of scans whose targets have as many edges, side by side."""
-    return RingEnds.side_by_side([evidence.bounded.ends for evidence in evidences])
+    return RingEnds.of([evidence.bounded for evidence in evidences])
 
 
 def _bounded(edges: EdgePoints, returns: RingReturns) -> EdgePoints:

@@ -18,7 +18,7 @@ Evidence that the posterior leaves out is free: where the rings that returned no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,7 +27,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.chords import chords, sight_planes
 from optshape_graph.gaussian import log_ndtr, mixture_moments
-from optshape_graph.pose.ends import EdgeGeometry, RingEnds
+from optshape_graph.pose.ends import EdgeGeometry, Padding, RingEnds
 from optshape_graph.se3 import exp, vec, vec_derivative
 
 _WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])
@@ -74,27 +74,36 @@ class Posterior(Value):
             index: a slice of the posteriors, or (K,).
             ends: number of edge points, where those after are padding; None: all.
         """
-        chosen = _made(lambda values: values[0][index], self)
-        m = self.inset.shape[1]
-        if ends in (None, m):
-            return chosen
-        return _made(lambda values: values[0][:, :ends] if values[0].shape[1:2] == (m,) else values[0], chosen)
+        return _made(lambda values: values[0][index, :ends], lambda values: values[0][index], [self])
 
 
 def concatenate(posteriors: Sequence[Posterior]) -> Posterior:
-    """Return the posteriors of all."""
-    return _made(np.concatenate, *posteriors)
+    """Return the posteriors of all, padded to as many edge points."""
+    padding = Padding.of([one.inset.shape[1] for one in posteriors for _ in one.inset])
+
+    def of_ends(values: Sequence[Floats]) -> Floats:
+        return padding.padded([value.reshape(-1, *value.shape[2:]) for value in values])
+
+    return _made(of_ends, np.concatenate, posteriors)
 
 
-def _made(make: Callable[[list[Floats]], Floats], *posteriors: Posterior) -> Posterior:
-    """Make each array of a posterior, those of its geometry included, of the same arrays of some others."""
+_OF_ENDS = ("inset", "shift", "sigma")
+_Make = Callable[[Sequence[Floats]], Floats]
 
-    def arrays(records: Sequence[Posterior | EdgeGeometry]) -> dict[str, Any]:
-        names = [name for name in vars(records[0]) if name != "geometry"]
+
+def _made(of_ends: _Make, of_poses: _Make, posteriors: Sequence[Posterior]) -> Posterior:
+    """Make each array of a posterior of the same arrays of some others, those of edge points (C, M, ...) in one way."""
+
+    def arrays(names: Iterable[str], records: Sequence[Any], make: _Make) -> dict[str, Any]:
         return {name: make([getattr(record, name) for record in records]) for name in names}
 
-    geometry = EdgeGeometry(**arrays([posterior.geometry for posterior in posteriors]))
-    return Posterior(geometry=geometry, **arrays(posteriors))
+    names = [name for name in vars(posteriors[0]) if name not in (*_OF_ENDS, "geometry")]
+    geometries = [posterior.geometry for posterior in posteriors]
+    return Posterior(
+        geometry=EdgeGeometry(**arrays(vars(geometries[0]), geometries, of_ends)),
+        **arrays(_OF_ENDS, posteriors, of_ends),
+        **arrays(names, posteriors, of_poses),
+    )
 
 
 def work_out(ends: RingEnds, scan: Ints, T: Floats, labels: Ints | None, sweeps: int) -> tuple[Ints, Posterior]:

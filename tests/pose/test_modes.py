@@ -13,7 +13,7 @@ from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import PoseOptions, estimate_pose, modes
 from optshape_graph.pose.evidence import measure
 from optshape_graph.pose.modes import compare_modes, find_candidates
-from optshape_graph.pose.rings import sampled_measurement
+from optshape_graph.pose.sampled import sampled_measurement
 from optshape_graph.se3 import difference, inverse, rotation_vector
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 from tests.pose.clouds import errors
