@@ -96,7 +96,9 @@ def without_duplicates(scan: Scan) -> tuple[Scan, int]:
 
     A driver that reports two returns for each firing repeats a return that was the only one.
     """
-    if len(scan) < 2:
+    x, y, z = scan.points.T
+    sums = np.sort(x + np.sqrt(2) * y + np.sqrt(3) * z)
+    if (sums[1:] > sums[:-1]).all():  # copies have equal ones
         return scan, 0
     order = np.lexsort(scan.points.T)
     again = (np.diff(scan.points[order], axis=0) == 0).all(axis=1)

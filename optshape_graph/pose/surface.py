@@ -4,12 +4,13 @@ A return's distance from the plane is e = a + b y + c z + (bias of its ring) + n
 is no plane. Ring biases look like a shape across the rings, so rows are whitened by partial demeaning of each ring (the
 random-effects transform of panel regression; Fuller and Battese, J. Econometrics 2, 1974): with biases left free a fold
 would hide in them. Noise and biases are taken from the scan itself, so that a sensor file that is off doesn't look like
-a shape, and shapes are judged by F tests.
+a shape, and shapes are judged by F tests. Scans lie side by side, and each is asked by itself.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.factors.plane_returns import PlaneReturns
 from optshape_graph.gaussian import f_tail
+from optshape_graph.groups import Groups
 from optshape_graph.plane import ReturnsPlane
 from optshape_graph.target import Target
 
@@ -30,76 +32,128 @@ OUTLYING = 4.0
 FEWEST_OF_RIM = 10
 """Returns on the rim and inside from which on the two are compared."""
 
+PLANE, SECOND_ORDER = 3, 6
+"""How many of `PlaneResiduals.terms` are a plane, and how many a surface of second order."""
+
 _ANGLES = np.radians(np.arange(0.0, 180.0, 22.5))
 _ACROSS, _AWAY = np.array([np.cos(_ANGLES), np.sin(_ANGLES)]), np.array([-0.6, -0.2, 0.2, 0.6])  # of hinges
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlaneResiduals(Value):
-    """Distances of returns from a plane near theirs, those that are none of it left out of what is asked of them.
+    """Distances of returns from planes near theirs, those that are none of it left out of what is asked of them.
+
+    They are the N returns of B scans in the order of `RingReturns`: ring by ring, from the left.
 
     Attributes:
         e: (N,) metres, positive behind.
         yz: (N, 2) where the ray meets the plane, from the middle of the returns, in units of the target's radius.
-        column: (N,) index of each return's ring, 0 to R - 1.
         rest: (N,) metres, less what a surface of second order and the median of the ring explain.
         usual: (N,) whether it is within OUTLYING standard deviations of its ring.
-        noise: standard deviation within rings, metres off the plane: of the scan, or of the sensor file if larger.
-        bias: standard deviation over rings, metres off the plane, likewise.
-        file_noise: the noise of the sensor file, metres off the plane.
-        file_bias: the bias of the sensor file, metres off the plane.
+        noise: (B,) standard deviation within rings, metres off the plane: of the scan, or of the sensor file if larger.
+        bias: (B,) standard deviation over rings, metres off the plane, likewise.
+        file_noise: (B,) the noise of the sensor file, metres off the plane.
+        file_bias: (B,) the bias of the sensor file, metres off the plane.
+        counts: (R,) returns of each ring.
+        n_rings: (B,) rings of each scan.
     """
 
     e: Floats
     yz: Floats
-    column: Ints
     rest: Floats
     usual: Bools
-    noise: float
-    bias: float
-    file_noise: float
-    file_bias: float
+    noise: Floats
+    bias: Floats
+    file_noise: Floats
+    file_bias: Floats
+    counts: Ints
+    n_rings: Ints
 
     @classmethod
-    def of(cls, returns: PlaneReturns, plane: ReturnsPlane, target: Target, ring: Ints) -> PlaneResiduals:
-        """Take noise and biases from the scan, never less than those of the sensor file.
+    def of(
+        cls,
+        returns: Sequence[PlaneReturns],
+        planes: Sequence[ReturnsPlane],
+        targets: Sequence[Target],
+        counts: Ints,
+        n_rings: Ints,
+    ) -> PlaneResiduals:
+        """Take noise and biases from the scans, never less than those of the sensor files.
 
         Args:
-            returns: against the plane, each with one bias, noise and bias as the sensor file has them.
-            plane: near theirs.
-            target: its size is the unit of places.
-            ring: (N,) of each return.
+            returns: (B,) against the planes, each with one bias, noise and bias as the sensor file has them.
+            planes: (B,) near theirs.
+            targets: (B,) their sizes are the units of places.
+            counts: (R,) returns of each ring.
+            n_rings: (B,) rings of each scan.
         """
-        e, yz = -returns.offset, (returns.points - plane.centre) @ plane.axes[1:].T / target.gyration
-        noise = float(np.sqrt(np.mean(returns.sigma**2)))
-        bias = max(float(np.mean(returns.moved[:, 0] * returns.sigma)), 1e-6)
-        _, column, counts = np.unique(ring, return_inverse=True, return_counts=True)
+        rings, rings_of_scan, scans = Groups(counts), Groups(n_rings), Groups.of([one.offset for one in returns])
+        e = -np.concatenate([one.offset for one in returns])
+        yz = np.concatenate([
+            (one.points - plane.centre) @ plane.axes[1:].T / target.gyration
+            for one, plane, target in zip(returns, planes, targets, strict=True)
+        ])  # fmt: skip
+        sigma, moved = (
+            np.concatenate(parts) for parts in zip(*((one.sigma, one.moved) for one in returns), strict=True)
+        )
+        noise, bias = np.sqrt(scans.mean(sigma**2)), np.maximum(scans.mean(moved[:, 0] * sigma), 1e-6)
         terms = second_order(yz)
-        freedom = max(len(e) - len(counts) - 5, 1)
-        usual, within = np.ones(len(e), dtype=bool), noise
+        freedom = np.maximum(scans.counts - n_rings - (SECOND_ORDER - 1), 1)
+        usual, seen_noise = np.ones(len(e), dtype=bool), noise
         for _ in range(2):
-            G = whitened_gram(np.column_stack([terms, e])[usual], column[usual], max(noise, within), bias)
-            left = e - terms @ np.linalg.lstsq(G[:-1, :-1], G[:-1, -1], rcond=1e-9)[0]
-            medians = _medians(left, column, counts)
-            rest = left - medians[column]
-            within = 1.4826 * float(np.median(np.abs(rest))) * np.sqrt(len(e) / freedom)
-            usual = np.abs(rest) <= OUTLYING * max(noise, within)
-        own = float(np.mean(np.pi / 2 * within**2 / counts))  # variance of a median of so many
-        freedom = max(len(counts) - 4, 0)
-        square = float(np.sum((medians - medians.mean()) ** 2)) - freedom * own
-        seen = np.sqrt(max(PRIOR_RINGS * bias**2 + square, 0.0) / (PRIOR_RINGS + freedom)) if freedom else 0.0
-        return cls(e, yz, column, rest, usual, max(noise, within), max(bias, float(seen)), noise, bias)
+            columns = np.column_stack([terms, e]) * usual[:, None]
+            G = whitened_products(columns, columns, _shares(rings, rings_of_scan, usual, seen_noise, bias))[0]
+            x = least_squares(G[:, :-1, :-1], G[:, :-1, -1:], 1e-9)[..., 0]
+            left = e - np.einsum("nk,nk->n", terms, scans.each(x))
+            medians = rings.median(left)
+            rest = left - rings.each(medians)
+            within = 1.4826 * scans.median(np.abs(rest)) * np.sqrt(scans.counts / freedom)
+            seen_noise = np.maximum(noise, within)
+            usual = np.abs(rest) <= OUTLYING * scans.each(seen_noise)
+        own = np.pi / 2 * within**2 * rings_of_scan.mean(1 / counts)  # variance of a median of so many
+        freedom = np.maximum(n_rings - 4, 0)
+        square = rings_of_scan.sum((medians - rings_of_scan.each(rings_of_scan.mean(medians))) ** 2) - freedom * own
+        seen = np.sqrt(np.maximum(PRIOR_RINGS * bias**2 + square, 0.0) / (PRIOR_RINGS + freedom)) * (freedom > 0)
+        return cls(e, yz, rest, usual, seen_noise, np.maximum(bias, seen), noise, bias, counts, n_rings)
+
+    @classmethod
+    def side_by_side(cls, scans: Sequence[PlaneResiduals]) -> PlaneResiduals:
+        """Return the residuals of several scans."""
+        return cls(*(np.concatenate([getattr(scan, field.name) for scan in scans]) for field in fields(cls)))
+
+    def of_scan(self, scan: int) -> PlaneResiduals:
+        """Return the residuals of one of the scans."""
+        rows, rings, one = self.scans.slices[scan], self.rings_of_scan.slices[scan], slice(scan, scan + 1)
+        return PlaneResiduals(
+            e=self.e[rows], yz=self.yz[rows], rest=self.rest[rows], usual=self.usual[rows], noise=self.noise[one],
+            bias=self.bias[one], file_noise=self.file_noise[one], file_bias=self.file_bias[one],
+            counts=self.counts[rings], n_rings=self.n_rings[one],
+        )  # fmt: skip
+
+    @cached_property
+    def rings(self) -> Groups:
+        """The returns of each ring."""
+        return Groups(self.counts)
+
+    @cached_property
+    def rings_of_scan(self) -> Groups:
+        """The rings of each scan."""
+        return Groups(self.n_rings)
+
+    @cached_property
+    def scans(self) -> Groups:
+        """The returns of each scan."""
+        return Groups(np.add.reduceat(self.counts, self.rings_of_scan.first))
 
     @property
-    def excess(self) -> float:
-        """Error of ranges, metres off the plane, that the sensor file has no noise for; 0 where chance explains it.
+    def excess(self) -> Floats:
+        """(B,) error of ranges, metres off the plane, that no noise of the file explains; 0 where chance does.
 
         Something moves single returns by so much: dark and bright squares, say. Their mean is then as uncertain.
         """
-        chance = 3 * 1.17 / np.sqrt(len(self.e))  # of the median absolute deviation
-        return (
-            float(np.sqrt(self.noise**2 - self.file_noise**2)) if self.noise > (1 + chance) * self.file_noise else 0.0
-        )
+        chance = 3 * 1.17 / np.sqrt(self.scans.counts)  # of the median absolute deviation
+        beyond = np.sqrt(np.maximum(self.noise**2 - self.file_noise**2, 0.0))
+        return np.where(self.noise > (1 + chance) * self.file_noise, beyond, 0.0)
 
     @cached_property
     def terms(self) -> Floats:
@@ -108,103 +162,127 @@ class PlaneResiduals(Value):
 
     def beyond(self, base: int, more: Floats, among: Bools | None = None) -> Regression:
         """Ask what columns (N, K) explain beyond the first `base` of `terms`, among the usual returns or those (N,)."""
-        chosen = self.usual if among is None else among
-        columns = np.column_stack([self.terms[:, :base], more, self.e])[chosen]
-        return Regression(
-            _schur(whitened_gram(columns, self.column[chosen], self.noise, self.bias), base),
-            _schur(columns[:, :-1].T @ columns[:, :-1], base) / max(len(columns), 1),
-            len(columns) - base,
-        )
+        among = self.usual if among is None else among
+        columns = np.column_stack([self.terms[:, :base], more, self.e]) * among[:, None]
+        whitened, plain = whitened_products(columns, columns, self._shares(among))
+        count = self.scans.sum(among)
+        mean = schur(plain[:, :-1, :-1], base) / np.maximum(count, 1)[:, None, None]
+        return Regression(schur(whitened, base), mean, count - base)
 
-    def as_seen(self, returns: PlaneReturns) -> PlaneReturns:
-        """Return what is of the plane, with noise and biases as large as they are seen."""
-        return returns.widened(self.noise / self.file_noise, self.bias / self.file_bias).select(self.usual)
+    def surfaces(self, seen: float) -> list[Surface]:
+        """Look for a bend and for a fold in each scan: of a probability below `seen`, or of no size."""
+        bends, _, sizes = self.beyond(PLANE, self.terms[:, PLANE:]).together()
+        found = []
+        for bend_p, bend, fold_p, fold in zip(bends, sizes, *self._folds(), strict=True):
+            shape, p, size = ("bend", bend_p, bend) if bend_p <= fold_p else ("fold", fold_p, fold)
+            found.append(Surface(shape, float(size) if p < seen else 0.0, float(p)))
+        return found
 
-    def surface(self, seen: float) -> Surface:
-        """Look for a bend and for a fold: of a probability below `seen`, or of no size."""
-        bend_p, _, bend = self.beyond(3, self.terms[:, 3:]).together()
-        hinges = np.abs((self.yz @ _ACROSS)[:, :, None] - _AWAY).reshape(len(self.yz), -1)
-        fold_p, fold = self.beyond(3, hinges).best()
-        shape, p, size = ("bend", bend_p, bend) if bend_p <= fold_p else ("fold", fold_p, fold)
-        return Surface(shape, size if p < seen else 0.0, p)
+    def _folds(self) -> tuple[Floats, Floats]:
+        """F tests of the best of many hinges: probability (B,) for as many looks, and rms (B,), metres.
 
-    def sheets(self, azimuth: Floats) -> Sheets:
+        Of a hinge's products, those with the terms of a plane, the residuals and itself are enough.
+        """
+        usual, shares = self.usual[:, None], self._shares(self.usual)
+        hinges = np.abs((self.yz @ _ACROSS)[:, :, None] - _AWAY).reshape(len(usual), -1) * usual
+        columns = np.column_stack([self.terms[:, :PLANE], self.e]) * usual
+        count, freedom = self.scans.sum(self.usual), self.scans.sum(self.usual) - PLANE
+        squares = self.scans.sum(hinges**2)
+        rest = []
+        for products, square in zip(
+            whitened_products(columns, np.column_stack([columns, hinges]), shares),
+            (squares - self.rings_of_scan.sum(shares.of_rings * self.rings.sum(hinges) ** 2), squares), strict=True,
+        ):  # fmt: skip
+            base, left = products[:, :PLANE], products[:, PLANE:]
+            x = least_squares(base[:, :, :PLANE], base[:, :, PLANE:], 1e-12)
+            left = left[:, 0, PLANE:] - (left[:, :, :PLANE] @ x)[:, 0]
+            rest.append((left[:, 0], left[:, 1:], square - (base[:, :, PLANE + 1 :] * x[:, :, 1:]).sum(axis=1)))
+        (e, product, square), (_, _, plain) = rest
+        square = np.maximum(square, 1e-12)
+        gains, scan = product**2 / square, np.arange(len(e))
+        k = gains.argmax(axis=1)
+        gain, slope = gains[scan, k], np.abs(product / square)[scan, k]
+        p = _f_tails(gain / np.maximum(e - gain, 1e-30) * (freedom - 1), np.ones(len(e)), freedom - 1)
+        rms = np.sqrt(np.maximum(plain[scan, k] / np.maximum(count, 1), 0.0))
+        return np.minimum(1.0, p * gains.shape[1]), slope * rms
+
+    def sheets(self, azimuth: Floats, row: Ints) -> list[Sheets]:
         """Look for two revolutions, by neighbours in azimuth and by the order in which the returns were recorded.
 
         Args:
-            azimuth: (N,) of each return, in the order of recording, rad.
+            azimuth: (N,) of each return, rad.
+            row: (N,) its place in the recording of its scan.
         """
-        order = np.lexsort((azimuth, self.column))
-        same = np.diff(self.column[order]) == 0
-        r = np.where(self.usual, self.rest, 0.0)[order]
-        product = float((r[1:] * r[:-1])[same].sum() / max(float((r**2).sum()), 1e-30))
-        again = _second_pass(self.column, azimuth)
-        if again is None:
-            return Sheets(product, product * float(np.sqrt(same.sum())), 0.0, 1.0)
-        p, _, apart = self.beyond(6, again[:, None] * self.terms[:, :3]).together()
-        return Sheets(product, product * float(np.sqrt(same.sum())), apart, p)
+        r = np.where(self.usual, self.rest, 0.0)
+        product = r * np.append(r[1:], 0.0)
+        product[self.rings.last] = 0.0
+        correlation = self.scans.sum(product) / np.maximum(self.scans.sum(r**2), 1e-30)
+        score = correlation * np.sqrt(self.scans.counts - self.n_rings)
+        found = []
+        for scan, rows in enumerate(self.scans.slices):
+            apart, p = self.of_scan(scan)._passes_apart(azimuth[rows], row[rows])
+            found.append(Sheets(float(correlation[scan]), float(score[scan]), apart, p))
+        return found
 
-    def in_front(self, azimuth: Floats) -> tuple[int, float]:
+    def _passes_apart(self, azimuth: Floats, row: Ints) -> tuple[float, float]:
+        """Rms distance, metres, of what was recorded in a second revolution of one scan, and its chance."""
+        again = _second_pass(self.rings, azimuth, row)
+        if again is None:
+            return 0.0, 1.0
+        p, _, apart = self.beyond(SECOND_ORDER, again[:, None] * self.terms[:, :PLANE]).together()
+        return float(apart[0]), float(p[0])
+
+    def in_front(self) -> tuple[Ints, Floats]:
         """Look for something before the target: neighbours in a ring that both stand off the plane, towards the sensor.
 
-        Args:
-            azimuth: (N,) of each return, rad.
-
         Returns:
-            How many returns do, and how far in the middle, metres.
+            How many returns of each scan do (B,), and how far in the middle (B,), metres.
         """
-        order = np.lexsort((azimuth, self.column))
-        rest = self.rest[order]
-        off = ~self.usual[order] & (rest < 0)
-        both = off[1:] & off[:-1] & (np.diff(self.column[order]) == 0)
-        found = np.append(both, False) | np.append(False, both)
-        return int(found.sum()), -float(np.median(rest[found])) if found.any() else 0.0
+        off = ~self.usual & (self.rest < 0)
+        both = off & np.append(off[1:], False)
+        both[self.rings.last] = False
+        found = both | np.append(False, both[:-1])
+        count = self.scans.sum(found).astype(int)
+        return count, np.where(count > 0, -self.scans.median(self.rest, found), 0.0)
 
-    def rim_step(self, rim: Bools, inner: Bools) -> tuple[float, float]:
-        """How far the rim stands off what else a surface of second order explains, metres, and its chance.
+    def rim_step(self, rim: Bools, inner: Bools) -> tuple[Floats, Floats]:
+        """How far the rim stands off what else a surface of second order explains, metres (B,), and its chance (B,).
 
         Args:
             rim: (N,) whether each is of the rim.
             inner: (N,) those that are asked: without the outermost of each ring, which may be mixed.
         """
-        if min((rim & inner).sum(), (~rim & inner).sum()) < FEWEST_OF_RIM:
-            return 0.0, 1.0
-        p, x, _ = self.beyond(6, rim[:, None].astype(float), inner).together()
-        return float(x[0]), p
+        p, x, _ = self.beyond(SECOND_ORDER, rim[:, None].astype(float), inner).together()
+        few = np.minimum(self.scans.sum(rim & inner), self.scans.sum(~rim & inner)) < FEWEST_OF_RIM
+        return np.where(few, 0.0, x[:, 0]), np.where(few, 1.0, p)
+
+    def _shares(self, among: Bools) -> _Shares:
+        return _shares(self.rings, self.rings_of_scan, among, self.noise, self.bias)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Regression(Value):
-    """Columns and residuals after the base columns have been taken out of both.
+    """Columns and residuals of B scans after the base columns have been taken out of both.
 
     Attributes:
-        gram: (K + 1, K + 1) of the whitened columns and residuals.
-        plain: (K, K) mean squares and products of the columns themselves.
-        freedom: number of residuals less that of base columns.
+        gram: (B, K + 1, K + 1) of the whitened columns and residuals.
+        plain: (B, K, K) mean squares and products of the columns themselves.
+        freedom: (B,) number of residuals less that of base columns.
     """
 
     gram: Floats
     plain: Floats
-    freedom: int
+    freedom: Floats
 
-    def together(self) -> tuple[float, Floats, float]:
-        """F test of all columns: probability by chance, coefficients (K,), rms of what they explain, metres."""
-        A, b, k = self.gram[:-1, :-1], self.gram[:-1, -1], len(self.plain)
-        x = np.asarray(np.linalg.lstsq(A, b, rcond=1e-9)[0], dtype=float)
-        gain = float(b @ x)
-        left = max(float(self.gram[-1, -1]) - gain, 1e-30)
-        p = f_tail(gain / k / left * (self.freedom - k), k, self.freedom - k)
-        return p, x, float(np.sqrt(max(float(x @ self.plain @ x), 0.0)))
-
-    def best(self) -> tuple[float, float]:
-        """F test of the best single column, for as many looks as there are columns: probability, rms, metres."""
-        squares = np.maximum(np.diag(self.gram)[:-1], 1e-12)
-        gains = self.gram[:-1, -1] ** 2 / squares
-        k = int(gains.argmax())
-        left = max(float(self.gram[-1, -1] - gains[k]), 1e-30)
-        p = f_tail(float(gains[k]) / left * (self.freedom - 1), 1, self.freedom - 1)
-        slope = float(self.gram[k, -1] / squares[k])
-        return min(1.0, p * len(gains)), abs(slope) * float(np.sqrt(max(self.plain[k, k], 0.0)))
+    def together(self) -> tuple[Floats, Floats, Floats]:
+        """F test of all columns: probability (B,), coefficients (B, K), rms (B,) of what they explain, metres."""
+        A, b, k = self.gram[:, :-1, :-1], self.gram[:, :-1, -1:], self.plain.shape[1]
+        x = least_squares(A, b, 1e-9)
+        gain = (b * x).sum(axis=(1, 2))
+        left = np.maximum(self.gram[:, -1, -1] - gain, 1e-30)
+        p = _f_tails(gain / k / left * (self.freedom - k), np.full(len(x), k), self.freedom - k)
+        size = (x * (self.plain @ x)).sum(axis=(1, 2))
+        return p, x[..., 0], np.sqrt(np.maximum(size, 0.0))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -239,16 +317,21 @@ class Sheets(Value):
     probability: float
 
 
-def _second_pass(column: Ints, azimuth: Floats) -> Floats | None:
+def _second_pass(rings: Groups, azimuth: Floats, row: Ints) -> Floats | None:
     """(N,) -1 for returns recorded in a first revolution, 1 for those of a second; None where there is but one.
 
     A ring's azimuths run one way in a revolution, so they turn back where the second begins.
     """
-    order = np.argsort(column, kind="stable")
+    ahead = np.diff(row) > 0
+    ahead = np.delete(ahead, rings.last[:-1])
+    if ahead.all() or not ahead.any():  # from the left to the right as they are sorted, or all the other way round
+        return None
+    column = rings.of_row
+    order = np.lexsort((row, column))
     same = np.diff(column[order]) == 0
     turns = np.diff(azimuth[order])
     back = same & (np.sign(turns) == -np.sign(np.sum(np.sign(turns[same])))) & (np.abs(turns) > 0)
-    starts = np.bincount(column[order][1:][back], minlength=column.max() + 1)
+    starts = np.bincount(column[order][1:][back], minlength=len(rings))
     if np.mean(starts == 1) < 0.5 or starts.max() > 1:
         return None
     passed = np.cumsum(np.concatenate([[0], back]))
@@ -264,23 +347,52 @@ def second_order(yz: Floats) -> Floats:
     return np.column_stack([np.ones(len(y)), y, z, y * y, y * z, z * z])
 
 
-def whitened_gram(columns: Floats, ring: Ints, noise: float, bias: float) -> Floats:
-    """(K, K) Gram matrix of columns (N, K), each less a share of its means over rings (N,): see the module."""
-    order = np.argsort(ring, kind="stable")
-    starts = np.flatnonzero(np.diff(ring[order], prepend=-1))
-    counts = np.diff(starts, append=len(ring))
-    share = 1.0 - noise / np.sqrt(noise**2 + counts * bias**2)
-    sums = np.add.reduceat(columns[order], starts, axis=0)
-    return np.asarray(columns.T @ columns - sums.T @ (((2 - share) * share / counts)[:, None] * sums))
+@dataclass(frozen=True, eq=False, repr=False)
+class _Shares(Value):
+    """By how much products of columns fall when each ring loses a share of its mean.
+
+    Attributes:
+        of_rings: (R, 1) what the product of two sums over a ring counts.
+        rings: the returns of each ring.
+        rings_of_scan: the rings of each scan.
+        scans: the returns of each scan.
+    """
+
+    of_rings: Floats
+    rings: Groups
+    rings_of_scan: Groups
+    scans: Groups
 
 
-def _schur(G: Floats, b: int) -> Floats:
-    """Gram matrix of the columns from b on, after those before have been taken out."""
-    return np.asarray(G[b:, b:] - G[b:, :b] @ np.linalg.lstsq(G[:b, :b], G[:b, b:], rcond=1e-12)[0])
+def _shares(rings: Groups, rings_of_scan: Groups, among: Bools, noise: Floats, bias: Floats) -> _Shares:
+    """Demean partially, by how much rings' biases (B,) stand out of the noise (B,) of the returns among some (N,)."""
+    count = rings.sum(among)
+    noise, bias = rings_of_scan.each(noise), rings_of_scan.each(bias)
+    share = 1.0 - noise / np.sqrt(noise**2 + count * bias**2)
+    scans = Groups(np.add.reduceat(rings.counts, rings_of_scan.first))
+    return _Shares(((2 - share) * share / np.maximum(count, 1))[:, None], rings, rings_of_scan, scans)
 
 
-def _medians(values: Floats, column: Ints, counts: Ints) -> Floats:
-    """(R,) median of the values of each ring."""
-    ordered = values[np.lexsort((values, column))]
-    starts = np.cumsum(counts) - counts
-    return np.asarray(0.5 * (ordered[starts + (counts - 1) // 2] + ordered[starts + counts // 2]))
+def whitened_products(a: Floats, b: Floats, shares: _Shares) -> tuple[Floats, Floats]:
+    """(B, J, K) products of columns (N, J) and (N, K), each less a share of its means over rings; and as they are."""
+    plain = shares.scans.products(a, b)
+    of_rings = shares.of_rings * shares.rings.sum(a)
+    return plain - shares.rings_of_scan.products(of_rings, shares.rings.sum(b)), plain
+
+
+def least_squares(A: Floats, b: Floats, smallest: float) -> Floats:
+    """(B, K, M) shortest solutions of A x = b, eigenvalues of A below a share of its largest left out."""
+    values, vectors = np.linalg.eigh(A)
+    kept = values > smallest * values[:, -1:]
+    scale = np.where(kept, 1 / np.where(kept, values, 1.0), 0.0)
+    return np.asarray(vectors @ (scale[..., None] * (np.swapaxes(vectors, 1, 2) @ b)))
+
+
+def schur(G: Floats, b: int) -> Floats:
+    """(B, K - b, K - b) Gram matrices of the columns from b on, after those before have been taken out."""
+    return np.asarray(G[:, b:, b:] - G[:, b:, :b] @ least_squares(G[:, :b, :b], G[:, :b, b:], 1e-12))
+
+
+def _f_tails(ratio: Floats, k: Floats, freedom: Floats) -> Floats:
+    """(B,) what `f_tail` says of each."""
+    return np.array([f_tail(*one) for one in zip(ratio.tolist(), k.tolist(), freedom.tolist(), strict=True)])

@@ -68,7 +68,7 @@ def test_what_was_sampled_is_what_the_measurement_says(seed: int) -> None:
     errors move plane and edges together, which samples don't know: here they move each for itself.)
     """
     scan, target = far_scan(seed)
-    evidence = measure(scan, target, PoseOptions())
+    (evidence,) = measure([scan], [target], PoseOptions())
     sampled = compare_modes(find_candidates([evidence])[0], evidence).sampled
     assert sampled is not None
     problem = evidence.problem

@@ -24,6 +24,7 @@ from optshape_graph.calibration.sensor.unknowns import (
     board_errors,
     bow,
 )
+from optshape_graph.errors import EstimationError
 from optshape_graph.factors import (
     EDGE_OFFSET,
     RANGE_BIAS,
@@ -98,8 +99,10 @@ class Seen(Value):
         Raises:
             EstimationError: the returns span no plane.
         """
-        found = measure(scan, target, options)
-        usual, factor = found.residuals.usual, found.residuals.noise / found.residuals.file_noise
+        (found,) = measure([scan], [target], options)
+        if isinstance(found, EstimationError):
+            raise found
+        usual, factor = found.residuals.usual, float((found.residuals.noise / found.residuals.file_noise)[0])
         assert found.scan.ring is not None
         returns = found.returns.widened(factor, 1.0).select(usual)
         returns = returns.with_angles(found.plane.axes[0], found.scan.ring[usual], found.scan.sensor)
