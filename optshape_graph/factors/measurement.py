@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, in_plane, marginalised, outer_rows, root, triangular
-from optshape_graph.se3 import PoseLike, as_matrix, exp, inverse, vec, vec_derivative
+from optshape_graph.se3 import PoseLike, as_matrix, inverse, rotation, transform, vec, vec_derivative
 
 FIRST_ROW = [0, 3, 6, 9]
 """Places of the first row of [R t] in z = [vec R; t]: all that a point on the plane x = 0 is linear in."""
@@ -270,7 +270,7 @@ def refine_all(measurements: Sequence[TemplateMeasurement], iterations: int = 20
         information, pull = np.swapaxes(J, 1, 2) @ J, np.swapaxes(J, 1, 2) @ residual[going, :, None]
         trace = np.trace(information, axis1=1, axis2=2)
         step = -np.linalg.solve(information + (damping[going] * trace)[:, None, None] * np.eye(6), pull)[..., 0]
-        candidate = T[going] @ exp(step)
+        candidate = T[going] @ transform(rotation(step[:, :3]), step[:, 3:])
         left = _residuals(L[going], b[going], candidate)
         new = (left**2).sum(axis=1)
         down = new <= error[going]

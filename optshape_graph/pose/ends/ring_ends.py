@@ -178,7 +178,7 @@ class RingEnds(Value):
             moved[: len(one), 1 : 1 + one.shape[1]] = one
         beside = [_beside(*pair) for pair in zip(edges, sensors, strict=True)]
         silent = Padding.of([len(one) for one in beside])
-        ranges = np.sqrt((points * points).sum(axis=-1))
+        ranges = np.sqrt(np.vecdot(points, points))
         width = np.stack([beam.width(at) for beam, at in zip(beams, ranges, strict=True)])
         step = np.array([one.azimuth_step for one in edges])
         return cls(
@@ -254,7 +254,7 @@ class RingEnds(Value):
             T: (C, 4, 4) T_target_lidar.
         """
         n, yz = self.normals[np.arange(len(self.normals))[:, None], labels], apply(T, points)[..., 1:]
-        return np.stack([(n * yz * [1.0, -1.0]).sum(axis=-1), (n * yz[..., ::-1]).sum(axis=-1)], axis=-1)
+        return np.stack([np.vecdot(n, yz * [1.0, -1.0]), np.vecdot(n, yz[..., ::-1])], axis=-1)
 
     def geometry(self, T: Floats, labels: Ints | None = None) -> EdgeGeometry:
         """Look at the ring ends from poses.
@@ -275,21 +275,21 @@ class RingEnds(Value):
         labels = labels * self.there
         scan = np.arange(len(self.normals))[:, None]
         n = self.normals[scan, labels]
-        mu = (n * slope).sum(axis=-1)
+        mu = np.vecdot(n, slope)
         direction = np.concatenate([-mu[..., None], n], axis=-1)
-        along = (n * u).sum(axis=-1)
+        along = np.vecdot(n, u)
         across = self.beam * np.sqrt(1.0 + mu**2)
         shift, scatter = outermost_return(np.abs(along) * self.width / across)
         shift = (shift - self.beam_offset[:, None]) * across
         by_angle = direction @ R
-        lifted, turned = (by_angle * self.upward).sum(axis=-1), (by_angle * self.leftward).sum(axis=-1)
+        lifted, turned = np.vecdot(by_angle, self.upward), np.vecdot(by_angle, self.leftward)
         of_ring = (self.elevation_sd**2 + self.common_elevation_sd[:, None] ** 2) * lifted**2
         of_ring += (self.azimuth_sd**2 + self.common_azimuth_sd[:, None] ** 2) * turned**2
         own = self.flatness[:, None] ** 2 + (Beam.OWN * scatter * across) ** 2 + (self.scatter * along) ** 2
         return EdgeGeometry(
             labels=labels,
             direction=direction,
-            residual=(direction * y).sum(axis=-1) - self.offsets[scan, labels] - shift,
+            residual=np.vecdot(direction, y) - self.offsets[scan, labels] - shift,
             along=along,
             across=across,
             shift=shift,
