@@ -253,15 +253,15 @@ class TemplateMeasurement(Value):
 
 def refine(measurement: TemplateMeasurement) -> Floats:
     """Return the T_target_lidar (4, 4) nearest to where a measurement was taken that minimises its error."""
-    return np.asarray(refine_all([measurement])[0])
+    return np.asarray(refine_all([measurement], measurement.T_target_lidar[None])[0])
 
 
-def refine_all(measurements: Sequence[TemplateMeasurement], iterations: int = 20) -> Floats:
-    """Return the T_target_lidar (B, 4, 4) nearest to where measurements were taken that minimise the error of each.
+def refine_all(measurements: Sequence[TemplateMeasurement], starts: Floats, iterations: int = 20) -> Floats:
+    """Return the T_target_lidar (B, 4, 4) nearest to starts (B, 4, 4) that minimise the errors of measurements.
 
     Gauss-Newton steps on the compressed rows, with Levenberg's damping where they do not lead down.
     """
-    T, L, b = (np.stack([getattr(one, name) for one in measurements]) for name in ("T_target_lidar", "L", "b"))
+    T, L, b = starts.copy(), np.stack([one.L for one in measurements]), np.stack([one.b for one in measurements])
     residual = _residuals(L, b, T)
     error, damping = (residual**2).sum(axis=1), np.full(len(T), 1e-12)
     going = np.arange(len(T))

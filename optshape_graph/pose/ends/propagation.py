@@ -79,12 +79,14 @@ class Posterior(Value):
 
 def concatenate(posteriors: Sequence[Posterior]) -> Posterior:
     """Return the posteriors of all, padded to as many edge points."""
+    if len(posteriors) == 1:
+        return posteriors[0]
     padding = Padding.of([one.inset.shape[1] for one in posteriors for _ in one.inset])
 
     def of_ends(values: Sequence[Floats]) -> Floats:
         return padding.padded([value.reshape(-1, *value.shape[2:]) for value in values])
 
-    return _made(of_ends, np.concatenate, posteriors)
+    return _made(np.concatenate if padding.there.all() else of_ends, np.concatenate, posteriors)
 
 
 _OF_ENDS = ("inset", "shift", "sigma")

@@ -56,6 +56,10 @@ class EdgeGeometry(Value):
         return EdgeGeometry(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
 
+FAR_BESIDE = 2.5
+"""Target radii from the rings with returns beyond which a pose that meets any of them has no part."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Padding(Value):
     """How rows of B scans, in different numbers, lie side by side in arrays of as many each.
@@ -176,7 +180,7 @@ class RingEnds(Value):
         by_shift[..., 0] = ~outer * np.array([[beam.blooming] for beam in beams])
         for moved, one in zip(by_shift, shifts, strict=True):
             moved[: len(one), 1 : 1 + one.shape[1]] = one
-        beside = [_beside(*pair) for pair in zip(edges, sensors, strict=True)]
+        beside = [_beside(one) for one in problems]
         silent = Padding.of([len(one) for one in beside])
         ranges = np.sqrt(np.vecdot(points, points))
         width = np.stack([beam.width(at) for beam, at in zip(beams, ranges, strict=True)])
@@ -347,7 +351,16 @@ class Problem(Value):
         return self.ends.geometry(T, labels)
 
 
-def _beside(edges: EdgePoints, sensor: SensorModel | None) -> Floats:
-    """(O,) elevations, rad, of a sensor's rings above and below those with returns; none of an unknown one's."""
-    rings = edges.ring[np.abs(edges.side) < UP]
-    return np.zeros(0) if sensor is None else np.delete(sensor.elevations, slice(rings[0], rings[-1] + 1))
+def _beside(problem: Problem) -> Floats:
+    """(O,) elevations, rad, of a sensor's rings above and below those with returns that any pose in question may meet.
+
+    None of an unknown sensor's.
+    """
+    edges, sensor = problem.edges, problem.sensor
+    if sensor is None:
+        return np.zeros(0)
+    rings, table = edges.ring[np.abs(edges.side) < UP], sensor.elevations
+    first, last = np.minimum(rings[[0, -1]], len(table) - 1)  # a sensor with fewer rings is another
+    reach = FAR_BESIDE * problem.target.circumradius / np.sqrt(np.vecdot(edges.points, edges.points).min())
+    low, high = np.searchsorted(table, [table[first] - reach, table[last] + reach])
+    return np.concatenate([table[low : rings[0]], table[rings[-1] + 1 : high]])
