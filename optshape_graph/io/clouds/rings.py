@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optshape_graph._arrays import Floats, Ints
-from optshape_graph.errors import InputError
+from optshape_graph.errors import AnotherSensorError, InputError
 from optshape_graph.sensor import SensorModel
 
 _LOG = logging.getLogger(__name__)
@@ -246,9 +246,11 @@ def _beam_origin(ranges: Floats) -> Floats:
     return np.arctan2(BEAM_ORIGIN_TOLERANCE_M, ranges)
 
 
-def _misfit(name: str, sensor: SensorModel, found: str) -> InputError:
-    return InputError(
+def _misfit(name: str, sensor: SensorModel, found: str) -> AnotherSensorError:
+    return AnotherSensorError(
         f"{name}: the elevations do not fit the table of {sensor.name}: {found} (another sensor? points that are not "
         "in the LiDAR's frame? a unit with a table of its own: give the maker's file of it as --sensor, or a file with "
-        "'schema: optshape/sensor/1' and 'elevations_deg: [lowest, ..., highest]')"
+        "'schema: optshape/sensor/1' and 'elevations_deg: [lowest, ..., highest]')",
+        name,
+        found,
     )
