@@ -18,6 +18,7 @@ from optshape_graph.factors.static import (
     BiasedMeasurement,
     SharedError,
     angle_entries,
+    of_ring,
 )
 from optshape_graph.groups import Groups
 from optshape_graph.scan import Scan
@@ -181,7 +182,9 @@ def returns_on_planes(
     found = []
     for scan, rows in zip(scans, of.slices, strict=True):
         rings, column = np.unique(np.zeros(len(scan), int) if scan.ring is None else scan.ring, return_inverse=True)
-        errors = [SharedError(RANGE_BIAS, ring=None if scan.ring is None else ring) for ring in rings.tolist()]
+        errors = (
+            [SharedError(RANGE_BIAS)] if scan.ring is None else [of_ring(RANGE_BIAS, ring) for ring in rings.tolist()]
+        )
         found.append(
             PlaneReturns(
                 projected[rows], offset[rows], sigma[rows], tuple(errors), moved[rows], column[:, None], coupling[rows]

@@ -187,24 +187,16 @@ class PlaneResiduals(Value):
         hinges = np.abs((self.yz @ _ACROSS)[:, :, None] - _AWAY).reshape(len(usual), -1) * usual
         columns = np.column_stack([self.terms[:, :PLANE], self.e]) * usual
         count, freedom = self.scans.sum(self.usual), self.scans.sum(self.usual) - PLANE
-        squares = self.scans.sum(hinges**2)
-        rest = []
-        for products, square in zip(
-            whitened_products(columns, np.column_stack([columns, hinges]), shares),
-            (squares - self.rings_of_scan.sum(shares.of_rings * self.rings.sum(hinges) ** 2), squares), strict=True,
-        ):  # fmt: skip
-            base, left = products[:, :PLANE], products[:, PLANE:]
-            x = least_squares(base[:, :, :PLANE], base[:, :, PLANE:], 1e-12)
-            left = left[:, 0, PLANE:] - (left[:, :, :PLANE] @ x)[:, 0]
-            rest.append((left[:, 0], left[:, 1:], square - (base[:, :, PLANE + 1 :] * x[:, :, 1:]).sum(axis=1)))
-        (e, product, square), (_, _, plain) = rest
+        squares, of_rings = self.scans.sum(hinges**2), self.rings.sum(hinges)
+        whitened, plain = whitened_products(columns, np.column_stack([columns, hinges]), shares)
+        left, product, square = _after_plane(whitened, squares - self.rings_of_scan.sum(shares.of_rings * of_rings**2))
+        mean_square = _after_plane(plain, squares)[2] / np.maximum(count, 1)[:, None]
         square = np.maximum(square, 1e-12)
-        gains, scan = product**2 / square, np.arange(len(e))
-        k = gains.argmax(axis=1)
-        gain, slope = gains[scan, k], np.abs(product / square)[scan, k]
-        p = _f_tails(gain / np.maximum(e - gain, 1e-30) * (freedom - 1), np.ones(len(e)), freedom - 1)
-        rms = np.sqrt(np.maximum(plain[scan, k] / np.maximum(count, 1), 0.0))
-        return np.minimum(1.0, p * gains.shape[1]), slope * rms
+        gains, scan = product**2 / square, np.arange(len(left))
+        best = scan, gains.argmax(axis=1)
+        F = gains[best] / np.maximum(left - gains[best], 1e-30) * (freedom - 1)
+        p = np.minimum(1.0, _f_tails(F, np.ones(len(F)), freedom - 1) * gains.shape[1])
+        return p, np.abs(product / square)[best] * np.sqrt(np.maximum(mean_square[best], 0.0))
 
     def sheets(self, azimuth: Floats, row: Ints) -> list[Sheets]:
         """Look for two revolutions, by neighbours in azimuth and by the order in which the returns were recorded.
@@ -391,6 +383,22 @@ def least_squares(A: Floats, b: Floats, smallest: float) -> Floats:
 def schur(G: Floats, b: int) -> Floats:
     """(B, K - b, K - b) Gram matrices of the columns from b on, after those before have been taken out."""
     return np.asarray(G[:, b:, b:] - G[:, b:, :b] @ least_squares(G[:, :b, :b], G[:, :b, b:], 1e-12))
+
+
+def _after_plane(products: Floats, squares: Floats) -> tuple[Floats, Floats, Floats]:
+    """Take a plane out of residuals and of hinges, each by itself.
+
+    Args:
+        products: (B, 4, 4 + H) of the terms of a plane and the residuals with these and with H hinges.
+        squares: (B, H) of the hinges.
+
+    Returns:
+        The square of the residuals (B,), their products with the hinges (B, H), and the squares of these (B, H).
+    """
+    of_plane, of_residuals = products[:, :PLANE], products[:, PLANE]
+    x = least_squares(of_plane[:, :, :PLANE], of_plane[:, :, PLANE:], 1e-12)
+    left = of_residuals[:, PLANE:] - (of_residuals[:, None, :PLANE] @ x)[:, 0]
+    return left[:, 0], left[:, 1:], squares - (of_plane[:, :, PLANE + 1 :] * x[:, :, 1:]).sum(axis=1)
 
 
 def _f_tails(ratio: Floats, k: Floats, freedom: Floats) -> Floats:
