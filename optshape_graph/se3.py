@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import factorial
 from typing import Protocol, TypeAlias
 
@@ -22,8 +22,12 @@ RIGID = 1e-6
 _SMALL_ANGLE = 1.0
 """Angle, rad, below which coefficients are summed as power series; above it their closed forms lose no digits."""
 
-_TERMS = 8
+_TERMS = range(7, -1, -1)
 """Terms of those series; the remainder is below 1e-16 at the small angle."""
+
+_THIRD = [(-1) ** k / factorial(2 * k + 3) for k in _TERMS]
+_FOURTH = [(-1) ** k / factorial(2 * k + 4) for k in _TERMS]
+_FIFTH = [(-1) ** k * (k + 1) / factorial(2 * k + 5) for k in _TERMS]
 
 _UNIT = np.eye(3)
 
@@ -264,31 +268,36 @@ def relative_covariance(T_a_b: Floats, covariance: Floats, a: slice | None, b: s
 
 def _coefficients(theta: Floats) -> tuple[Floats, Floats, Floats]:
     """sin(x) / x, (1 - cos(x)) / x^2 and (x - sin(x)) / x^3 of angles (...), each as (..., 1, 1)."""
-    first = np.sinc(theta / np.pi)[..., None, None]
-    second = 0.5 * np.square(np.sinc(theta / (2 * np.pi)))[..., None, None]
-    return first, second, _series(theta, lambda k: 1 / factorial(2 * k + 3), lambda x: (x - np.sin(x)) / x**3)
+    half = 0.5 * theta
+    sinc = np.divide(np.sin(half), half, out=np.ones_like(half), where=half > 0)
+    first, second = sinc * np.cos(half), 0.5 * sinc * sinc
+    return first[..., None, None], second[..., None, None], _third(theta)
+
+
+def _third(theta: Floats) -> Floats:
+    """(x - sin(x)) / x^3 of angles (...), as (..., 1, 1)."""
+    return _series(theta, _THIRD, lambda x: (x - np.sin(x)) / x**3)
 
 
 def _fourth(theta: Floats) -> Floats:
     """(x^2 / 2 + cos(x) - 1) / x^4 of angles (...), as (..., 1, 1)."""
-    return _series(theta, lambda k: 1 / factorial(2 * k + 4), lambda x: (0.5 * x**2 + np.cos(x) - 1) / x**4)
+    return _series(theta, _FOURTH, lambda x: (0.5 * x**2 + np.cos(x) - 1) / x**4)
 
 
 def _fifth(theta: Floats) -> Floats:
     """(2 x - 3 sin(x) + x cos(x)) / (2 x^5) of angles (...), as (..., 1, 1)."""
-    return _series(
-        theta,
-        lambda k: (k + 1) / factorial(2 * k + 5),
-        lambda x: (2 * x - 3 * np.sin(x) + x * np.cos(x)) / (2 * x**5),
-    )
+    return _series(theta, _FIFTH, lambda x: (2 * x - 3 * np.sin(x) + x * np.cos(x)) / (2 * x**5))
 
 
-def _series(theta: Floats, coefficient: Callable[[int], float], closed: Callable[[Floats], Floats]) -> Floats:
-    """Sum (-1)^k c_k theta^(2 k) below the small angle, and the closed form above it, as (..., 1, 1)."""
+def _series(theta: Floats, coefficients: Sequence[float], closed: Callable[[Floats], Floats]) -> Floats:
+    """Sum c_k theta^(2 k) below the small angle, c the highest first, and the closed form above it, as (..., 1, 1)."""
     small = theta < _SMALL_ANGLE
-    squared, value = np.square(np.where(small, theta, 0.0)), np.zeros_like(theta)
-    for k in reversed(range(_TERMS)):
-        value = (-1) ** k * coefficient(k) + squared * value
+    squared = np.square(np.where(small, theta, 0.0))
+    value = coefficients[0] * squared
+    for c in coefficients[1:-1]:
+        value += c
+        value *= squared
+    value += coefficients[-1]
     if not small.all():
         value = np.where(small, value, closed(np.where(small, np.pi, theta)))
     return np.asarray(value)[..., None, None]

@@ -1,6 +1,6 @@
 """The shape of a target as LiDARs see it: all vertices free, its drawing no more than where the search starts.
 
-Each scan gives a posterior of the vertices, by expectation propagation over its edge points as in `pose.propagation`,
+Each scan gives a posterior of the vertices, by expectation propagation over its edge points as in `pose.ends`,
 with the vertices among the unknowns: the line of an edge through v and v' moves, at share s of its length, by
 n . ((1 - s) dv + s dv'). What scans share adds up: the vertices, and how far across the edges the beam's width lets
 them seem to lie, which no scan can tell from the size.
@@ -23,9 +23,8 @@ from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors.plane_returns import plane_measurement, returns_on_plane
 from optshape_graph.plane import fit_plane
 from optshape_graph.pose import PoseEstimate, estimate_poses
-from optshape_graph.pose.ends import Problem
+from optshape_graph.pose.ends import Problem, posterior_step
 from optshape_graph.pose.options import PoseOptions
-from optshape_graph.pose.propagation import posterior_step
 from optshape_graph.ring_returns import RingReturns
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import apply, vec, vec_derivative

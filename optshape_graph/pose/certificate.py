@@ -204,11 +204,12 @@ def eliminate_translation(Q: Floats, kept: Sequence[int] = ()) -> tuple[Floats, 
     """Minimise forms (..., 13, 13) in [vec R; t; 1] over t.
 
     Args:
-        Q: (..., 13, 13) the forms.
+        Q: (..., 13, 13) the forms, in the cost's unit.
         kept: components of t that stay.
 
     Returns:
-        The forms (..., 10 + k, 10 + k) in x = [vec R; what is kept of t; 1], and K with the best rest of t, K x.
+        The forms (..., 10 + k, 10 + k) in x = [vec R; what is kept of t; 1], in that unit, and K with the best rest of
+        t, K x.
     """
     gone = [9 + axis for axis in range(3) if axis not in kept]
     rest = [k for k in range(13) if k not in gone]

@@ -22,8 +22,7 @@ from optshape_graph.factors.plane_returns import PlaneReturns, elevation_bands, 
 from optshape_graph.factors.static import SURFACE, BiasedMeasurement, SharedError
 from optshape_graph.groups import Groups
 from optshape_graph.plane import ReturnsPlane, fit_planes
-from optshape_graph.pose.ends import Problem, RingEnds
-from optshape_graph.pose.ends_fit import SEEN, EndsFit
+from optshape_graph.pose.ends import SEEN, EndsFit, Problem, RingEnds
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.surface import PlaneResiduals, Sheets, Surface
 from optshape_graph.ring_returns import RingReturns
@@ -258,7 +257,8 @@ def _as_seen(returns: PlaneReturns, residuals: PlaneResiduals, scan: Scan, norma
 
 def ends_of(evidences: Sequence[Evidence]) -> RingEnds:
     """Return the bounded ring ends of scans whose targets have as many edges, side by side."""
-    return RingEnds.of([evidence.bounded for evidence in evidences])
+    problems = [evidence.bounded for evidence in evidences]
+    return problems[0].ends if len(problems) == 1 else RingEnds.of(problems)
 
 
 def _bounded(edges: EdgePoints, returns: RingReturns) -> EdgePoints:

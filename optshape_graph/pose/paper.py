@@ -15,7 +15,7 @@ from optshape_graph._arrays import Floats, Ints
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import TemplateMeasurement, edge_rows, plane_rows
 from optshape_graph.pose.certificate import Backend, solve_relaxation
-from optshape_graph.pose.ends_fit import fit_ends
+from optshape_graph.pose.ends import fit_ends
 from optshape_graph.pose.evidence import Evidence, Finding
 from optshape_graph.se3 import apply, difference, transform
 from optshape_graph.target import Target

@@ -17,13 +17,10 @@ from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import TemplateMeasurement, refine_all
 from optshape_graph.factors.static import BiasedMeasurement
-from optshape_graph.pose.edge_rows import EdgeRows
-from optshape_graph.pose.ends import EdgeGeometry, RingEnds
-from optshape_graph.pose.ends_fit import EndsFit, fit_ends
+from optshape_graph.pose.ends import EdgeGeometry, EdgeRows, EndsFit, Posterior, RingEnds, concatenate, fit_ends
 from optshape_graph.pose.evidence import Evidence, Finding, ends_of
 from optshape_graph.pose.modes import Modes, compare_modes, find_candidates
-from optshape_graph.pose.propagation import Posterior, concatenate
-from optshape_graph.pose.sampled import sampled_measurement
+from optshape_graph.pose.sampling import sampled_measurement
 from optshape_graph.se3 import difference
 
 

@@ -15,7 +15,7 @@ from optshape_graph.edges import extract_edge_points, with_top_and_bottom
 from optshape_graph.gaussian import truncated_moments
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import PoseOptions, estimate_pose
-from optshape_graph.pose.ends import Problem
+from optshape_graph.pose.ends.ring_ends import Problem
 from optshape_graph.ring_returns import RingReturns
 from optshape_graph.se3 import inverse
 from optshape_graph.sensor import SensorModel

@@ -11,7 +11,7 @@ from scipy.stats import chi2, f
 from optshape_graph.gaussian import chi_square_tail, f_tail
 from optshape_graph.io import load_target
 from optshape_graph.pose import PoseOptions
-from optshape_graph.pose.ends_fit import SEEN
+from optshape_graph.pose.ends.fit import SEEN
 from optshape_graph.pose.evidence import measure
 from optshape_graph.pose.surface import OUTLYING
 from tests.pose.clouds import simulated

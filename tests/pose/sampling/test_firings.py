@@ -13,7 +13,7 @@ from optshape_graph.chords import chords, sight_planes
 from optshape_graph.edges import EdgePoints, extract_edge_points
 from optshape_graph.io import load_target
 from optshape_graph.pose import PoseOptions
-from optshape_graph.pose.firings import Firings
+from optshape_graph.pose.sampling.firings import Firings
 from optshape_graph.ring_returns import RingReturns
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 from optshape_graph.simulation.reference import reference_sensor

@@ -2,18 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.factors.static import EDGE_OFFSET, BiasedMeasurement, SharedError
-from optshape_graph.pose.modes import SampledPose
 from optshape_graph.se3 import vec, vec_derivative
 
 MOST = 0.5
 """Share of a sampled pose's variance, in any direction, that errors which scans share explain at most: by how far they
 displace the pose differs a little from scan to scan, and where little is left that difference would tell the errors."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledPose(Value):
+    """What samples say of the best mode.
+
+    Attributes:
+        T_target_lidar: (4, 4) posterior mean.
+        offset: mean of the offset across the edges, in beam widths.
+        covariance: (7, 7) of the right perturbation of T_target_lidar, rotation first, and of the offset.
+        errors: (K,) what other scans of the sensor or of the scene share: where rings look, and where the target ends.
+        effect: (7, K) how far the truth lies from pose (rad, metres) and offset (beam widths) for a standard deviation
+            of each.
+    """
+
+    T_target_lidar: Floats
+    offset: float
+    covariance: Floats
+    errors: tuple[SharedError, ...]
+    effect: Floats
 
 
 def sampled_measurement(

@@ -9,7 +9,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.factors._rows import triangular
 from optshape_graph.gaussian import chi_square_tail, f_tail
-from optshape_graph.pose.ends import RingEnds
+from optshape_graph.pose.ends.ring_ends import RingEnds
 from optshape_graph.se3 import apply
 
 SEEN = 0.02

@@ -27,7 +27,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.chords import chords, sight_planes
 from optshape_graph.gaussian import log_ndtr, mixture_moments
-from optshape_graph.pose.ends import EdgeGeometry, Padding, RingEnds
+from optshape_graph.pose.ends.ring_ends import EdgeGeometry, Padding, RingEnds
 from optshape_graph.se3 import exp, vec, vec_derivative
 
 _WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])

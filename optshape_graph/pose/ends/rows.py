@@ -18,8 +18,8 @@ from optshape_graph.factors.static import (
     SharedError,
     angle_errors,
 )
-from optshape_graph.pose.ends import EdgeGeometry, Problem, RingEnds
-from optshape_graph.pose.propagation import Posterior
+from optshape_graph.pose.ends.propagation import Posterior
+from optshape_graph.pose.ends.ring_ends import EdgeGeometry, Problem, RingEnds
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,9 +34,9 @@ class EdgeRows(Value):
         pose: (A, M, 13) rows linear in [z; 1].
         common: (A, M, 4) how far a standard deviation of the offset, one of the blooming, and either strain of unit
             size move each.
-        own: (A, M) standard deviation of what each scan draws anew.
-        outer: (A, M) standard deviation of where the target ends before the next ring, the same in all scans.
-        sigma: (A, M) standard deviation of both.
+        own: (A, M) standard deviation of what each scan draws anew, metres.
+        outer: (A, M) standard deviation of where the target ends before the next ring, metres, the same in all scans.
+        sigma: (A, M) standard deviation of both, metres.
         geometry: of the ring ends.
     """
 
