@@ -52,10 +52,10 @@ class PlaneReturns(Value):
     which: Ints
     coupling: Floats
 
-    def select(self, mask: Bools) -> PlaneReturns:
-        """Return some of them, of a mask (N,)."""
+    def select(self, rows: Bools | Ints) -> PlaneReturns:
+        """Return some of them, by a mask (N,) or by numbers (M,)."""
         names = ("points", "offset", "sigma", "moved", "which", "coupling")
-        return replace(self, **{name: getattr(self, name)[mask] for name in names})
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def sharing(self, errors: Sequence[SharedError], moved: Floats, which: Ints | None = None) -> PlaneReturns:
         """Return them with further errors that they share.
