@@ -268,19 +268,19 @@ def with_top_and_bottom(edges: EdgePoints, returns: RingReturns) -> EdgePoints:
     beyond = [(-1, edges.ring[-1] + 1, UP), (0, edges.ring[0] - 1, DOWN)]
     beyond = [(of, following, way) for of, following, way in beyond if 0 <= following < len(elevations)]
     row, ring = middle[[of for of, _, _ in beyond]], returns.ring[[of for of, _, _ in beyond]]
-    nothing = np.zeros(len(beyond))
+    ends, nothing = [following for _, following, _ in beyond], np.zeros(len(beyond))
     return replace(
         edges,
-        points=np.vstack([edges.points, returns.points[row]]),
-        ring=np.append(edges.ring, ring),
-        side=np.append(edges.side, [way for _, _, way in beyond]),
-        azimuth=np.append(edges.azimuth, returns.azimuth[row]),
-        index=np.append(edges.index, returns.row[row]),
-        revolutions=np.append(edges.revolutions, np.ones(len(beyond))),
-        lower=np.append(edges.lower, nothing),
-        upper=np.append(edges.upper, np.abs(elevations[[following for _, following, _ in beyond]] - elevations[ring])),
-        scatter=np.append(edges.scatter, nothing),
-        shift=np.append(edges.shift, nothing),
+        points=np.concatenate([edges.points, returns.points[row]]),
+        ring=np.concatenate([edges.ring, ring]),
+        side=np.concatenate([edges.side, np.array([way for _, _, way in beyond], dtype=np.int64)]),
+        azimuth=np.concatenate([edges.azimuth, returns.azimuth[row]]),
+        index=np.concatenate([edges.index, returns.row[row]]),
+        revolutions=np.concatenate([edges.revolutions, np.ones(len(beyond), dtype=np.int64)]),
+        lower=np.concatenate([edges.lower, nothing]),
+        upper=np.concatenate([edges.upper, np.abs(elevations[ends] - elevations[ring])]),
+        scatter=np.concatenate([edges.scatter, nothing]),
+        shift=np.concatenate([edges.shift, nothing]),
     )
 
 

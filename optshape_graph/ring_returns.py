@@ -99,7 +99,7 @@ class RingReturns(Value):
     def sorted_scans(self) -> list[Scan]:
         """Return the scans with their returns where and in the order in which they are here."""
         return [
-            replace(scan.select(self.row[rows]), points=self.points[rows])
+            scan.select(self.row[rows], self.points[rows])
             for scan, rows in zip(self.made_from, self.scans.slices, strict=True)
         ]
 

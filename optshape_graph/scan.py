@@ -76,15 +76,20 @@ class Scan(Value):
         rings = "" if self.ring is None else f", {len(np.unique(self.ring))} rings"
         return f"Scan({brief(self.name)}, {len(self)} returns{rings})"
 
-    def select(self, index: NDArray[np.bool_] | NDArray[np.int64]) -> Scan:
-        """Return the returns that a mask (N,) or an index array (M,) picks, with all their fields."""
+    def select(self, index: NDArray[np.bool_] | NDArray[np.int64], points: Floats | None = None) -> Scan:
+        """Return the returns that a mask (N,) or an index array (M,) picks, with all their fields.
+
+        Args:
+            index: a mask (N,), or numbers of returns (M,).
+            points: (M, 3) where they are now, metres; None: where they were.
+        """
 
         def pick(values: Values) -> Values:
             return None if values is None else values[index]
 
         return replace(
             self,
-            points=self.points[index],
+            points=self.points[index] if points is None else points,
             ring=pick(self.ring),
             intensity=pick(self.intensity),
             time=pick(self.time),

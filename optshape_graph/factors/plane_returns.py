@@ -18,6 +18,7 @@ from optshape_graph.factors.static import (
     BiasedMeasurement,
     SharedError,
     angle_entries,
+    of_ring,
 )
 from optshape_graph.groups import Groups
 from optshape_graph.scan import Scan
@@ -51,10 +52,10 @@ class PlaneReturns(Value):
     which: Ints
     coupling: Floats
 
-    def select(self, mask: Bools) -> PlaneReturns:
-        """Return some of them, of a mask (N,)."""
+    def select(self, rows: Bools | Ints) -> PlaneReturns:
+        """Return some of them, by a mask (N,) or by numbers (M,)."""
         names = ("points", "offset", "sigma", "moved", "which", "coupling")
-        return replace(self, **{name: getattr(self, name)[mask] for name in names})
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def sharing(self, errors: Sequence[SharedError], moved: Floats, which: Ints | None = None) -> PlaneReturns:
         """Return them with further errors that they share.
@@ -181,7 +182,9 @@ def returns_on_planes(
     found = []
     for scan, rows in zip(scans, of.slices, strict=True):
         rings, column = np.unique(np.zeros(len(scan), int) if scan.ring is None else scan.ring, return_inverse=True)
-        errors = [SharedError(RANGE_BIAS, ring=None if scan.ring is None else ring) for ring in rings.tolist()]
+        errors = (
+            [SharedError(RANGE_BIAS)] if scan.ring is None else [of_ring(RANGE_BIAS, ring) for ring in rings.tolist()]
+        )
         found.append(
             PlaneReturns(
                 projected[rows], offset[rows], sigma[rows], tuple(errors), moved[rows], column[:, None], coupling[rows]

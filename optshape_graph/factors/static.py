@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cache, cached_property, reduce
 from operator import add
 
 import numpy as np
@@ -108,6 +108,12 @@ class SharedError:
             low, high = np.degrees(self.band)
             return f"{self.kind} between {low:.3f} and {high:.3f} deg"
         return self.kind
+
+
+@cache
+def of_ring(kind: str, ring: int) -> SharedError:
+    """Return the error of a kind that belongs to a ring: the same object always, for there are many, and but few."""
+    return SharedError(kind, ring=ring)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -302,7 +308,7 @@ def angle_entries(
     rings, column = np.unique(ring, return_inverse=True)
     up, left = angle_sds(sensor, ring)
     moved, which = [up * by_elevation, left * by_azimuth], [column, len(rings) + column]
-    errors = [SharedError(kind, ring=int(k)) for kind in (ELEVATION, AZIMUTH) for k in rings]
+    errors = [of_ring(kind, k) for kind in (ELEVATION, AZIMUTH) for k in rings.tolist()]
     if sensor is not None:
         for kind, sd, by in (
             (COMMON_ELEVATION, sensor.common_elevation_sd, by_elevation),

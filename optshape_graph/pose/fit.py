@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.pose.evidence import Coverage, Evidence, Finding, coverage
-from optshape_graph.pose.surface import PLANE, PlaneResiduals, Surface
+from optshape_graph.pose.evidence import PLANE, Coverage, Evidence, Finding, PlaneResiduals, Surface, coverages
 
 RIM = 0.06
 """Width of a frame, metres: those of boards and panels are 3 to 8 cm wide."""
@@ -264,7 +263,7 @@ def _covers(findings: Sequence[Finding], further: Sequence[float]) -> list[Cover
     for size in set(sizes) - {0}:
         chosen = [k for k, other in enumerate(sizes) if other == size]
         T = np.array([findings[k].measurement.T_target_lidar for k in chosen])
-        some = coverage([findings[k].evidence for k in chosen], T, np.array([further[k] for k in chosen]))
+        some = coverages([findings[k].evidence for k in chosen], T, np.array([further[k] for k in chosen]))
         for k, cover in zip(chosen, some, strict=True):
             covers[k] = cover
     return covers

@@ -12,8 +12,7 @@ from optshape_graph.gaussian import chi_square_tail, f_tail
 from optshape_graph.io import load_target
 from optshape_graph.pose import PoseOptions
 from optshape_graph.pose.ends.fit import SEEN
-from optshape_graph.pose.evidence import measure
-from optshape_graph.pose.surface import OUTLYING
+from optshape_graph.pose.evidence import OUTLYING, measure
 from tests.pose.clouds import simulated
 
 PAPER = load_target("paper@0.7")

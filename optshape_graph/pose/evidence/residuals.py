@@ -1,10 +1,9 @@
 """What the returns' distances from the plane say of noise, of rings' biases, and of a target that is not flat.
 
 A return's distance from the plane is e = a + b y + c z + (bias of its ring) + noise, plus the shape of a surface that
-is no plane. Ring biases look like a shape across the rings, so rows are whitened by partial demeaning of each ring (the
-random-effects transform of panel regression; Fuller and Battese, J. Econometrics 2, 1974): with biases left free a fold
-would hide in them. Noise and biases are taken from the scan itself, so that a sensor file that is off doesn't look like
-a shape, and shapes are judged by F tests. Scans lie side by side, and each is asked by itself.
+is no plane. Ring biases look like a shape across the rings, so rows are whitened for them (`Whitening`): with biases
+left free a fold would hide in them. Noise and biases are taken from the scan itself, so that a sensor file that is off
+doesn't look like a shape, and shapes are judged by F tests. Scans lie side by side, and each is asked by itself.
 """
 
 from __future__ import annotations
@@ -17,9 +16,9 @@ import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.factors.plane_returns import PlaneReturns
-from optshape_graph.gaussian import f_tail
 from optshape_graph.groups import Groups
 from optshape_graph.plane import ReturnsPlane
+from optshape_graph.pose.evidence.regression import Regression, Whitening, f_tails, least_squares, one_by_one, schur
 from optshape_graph.target import Target
 
 PRIOR_RINGS = 4
@@ -102,7 +101,7 @@ class PlaneResiduals(Value):
         usual, seen_noise = np.ones(len(e), dtype=bool), noise
         for _ in range(2):
             columns = np.column_stack([terms, e]) * usual[:, None]
-            G = whitened_products(columns, columns, _shares(rings, rings_of_scan, usual, seen_noise, bias))[0]
+            G, _ = Whitening.of(rings, rings_of_scan, usual, seen_noise, bias).products(columns, columns)
             x = least_squares(G[:, :-1, :-1], G[:, :-1, -1:], 1e-9)[..., 0]
             left = e - np.einsum("nk,nk->n", terms, scans.each(x))
             medians = rings.median(left)
@@ -164,7 +163,7 @@ class PlaneResiduals(Value):
         """Ask what columns (N, K) explain beyond the first `base` of `terms`, among the usual returns or those (N,)."""
         among = self.usual if among is None else among
         columns = np.column_stack([self.terms[:, :base], more, self.e]) * among[:, None]
-        whitened, plain = whitened_products(columns, columns, self._shares(among))
+        whitened, plain = self._whitening(among).products(columns, columns)
         count = self.scans.sum(among)
         mean = schur(plain[:, :-1, :-1], base) / np.maximum(count, 1)[:, None, None]
         return Regression(schur(whitened, base), mean, count - base)
@@ -183,28 +182,17 @@ class PlaneResiduals(Value):
 
         Of a hinge's products, those with the terms of a plane, the residuals and itself are enough.
         """
-        usual, shares = self.usual[:, None], self._shares(self.usual)
+        usual, whitening = self.usual[:, None], self._whitening(self.usual)
         hinges = np.abs((self.yz @ _ACROSS)[:, :, None] - _AWAY).reshape(len(usual), -1) * usual
         columns = np.column_stack([self.terms[:, :PLANE], self.e]) * usual
-        count, freedom = self.scans.sum(self.usual), self.scans.sum(self.usual) - PLANE
-        squares = self.scans.sum(hinges**2)
-        rest = []
-        for products, square in zip(
-            whitened_products(columns, np.column_stack([columns, hinges]), shares),
-            (squares - self.rings_of_scan.sum(shares.of_rings * self.rings.sum(hinges) ** 2), squares), strict=True,
-        ):  # fmt: skip
-            base, left = products[:, :PLANE], products[:, PLANE:]
-            x = least_squares(base[:, :, :PLANE], base[:, :, PLANE:], 1e-12)
-            left = left[:, 0, PLANE:] - (left[:, :, :PLANE] @ x)[:, 0]
-            rest.append((left[:, 0], left[:, 1:], square - (base[:, :, PLANE + 1 :] * x[:, :, 1:]).sum(axis=1)))
-        (e, product, square), (_, _, plain) = rest
-        square = np.maximum(square, 1e-12)
-        gains, scan = product**2 / square, np.arange(len(e))
-        k = gains.argmax(axis=1)
-        gain, slope = gains[scan, k], np.abs(product / square)[scan, k]
-        p = _f_tails(gain / np.maximum(e - gain, 1e-30) * (freedom - 1), np.ones(len(e)), freedom - 1)
-        rms = np.sqrt(np.maximum(plain[scan, k] / np.maximum(count, 1), 0.0))
-        return np.minimum(1.0, p * gains.shape[1]), slope * rms
+        products, squares = whitening.products(columns, np.column_stack([columns, hinges])), whitening.squares(hinges)
+        (left, product, square), (_, _, plain) = map(one_by_one, products, squares)
+        square, count = np.maximum(square, 1e-12), self.scans.sum(self.usual)
+        gains, scan, freedom = product**2 / square, np.arange(len(left)), count - PLANE
+        best = scan, gains.argmax(axis=1)
+        F = gains[best] / np.maximum(left - gains[best], 1e-30) * (freedom - 1)
+        p = np.minimum(1.0, f_tails(F, np.ones(len(F)), freedom - 1) * gains.shape[1])
+        return p, np.abs(product / square)[best] * np.sqrt(np.maximum(plain[best] / np.maximum(count, 1), 0.0))
 
     def sheets(self, azimuth: Floats, row: Ints) -> list[Sheets]:
         """Look for two revolutions, by neighbours in azimuth and by the order in which the returns were recorded.
@@ -256,33 +244,8 @@ class PlaneResiduals(Value):
         few = np.minimum(self.scans.sum(rim & inner), self.scans.sum(~rim & inner)) < FEWEST_OF_RIM
         return np.where(few, 0.0, x[:, 0]), np.where(few, 1.0, p)
 
-    def _shares(self, among: Bools) -> _Shares:
-        return _shares(self.rings, self.rings_of_scan, among, self.noise, self.bias)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Regression(Value):
-    """Columns and residuals of B scans after the base columns have been taken out of both.
-
-    Attributes:
-        gram: (B, K + 1, K + 1) of the whitened columns and residuals.
-        plain: (B, K, K) mean squares and products of the columns themselves.
-        freedom: (B,) number of residuals less that of base columns.
-    """
-
-    gram: Floats
-    plain: Floats
-    freedom: Floats
-
-    def together(self) -> tuple[Floats, Floats, Floats]:
-        """F test of all columns: probability (B,), coefficients (B, K), rms (B,) of what they explain, metres."""
-        A, b, k = self.gram[:, :-1, :-1], self.gram[:, :-1, -1:], self.plain.shape[1]
-        x = least_squares(A, b, 1e-9)
-        gain = (b * x).sum(axis=(1, 2))
-        left = np.maximum(self.gram[:, -1, -1] - gain, 1e-30)
-        p = _f_tails(gain / k / left * (self.freedom - k), np.full(len(x), k), self.freedom - k)
-        size = (x * (self.plain @ x)).sum(axis=(1, 2))
-        return p, x[..., 0], np.sqrt(np.maximum(size, 0.0))
+    def _whitening(self, among: Bools) -> Whitening:
+        return Whitening.of(self.rings, self.rings_of_scan, among, self.noise, self.bias)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -345,54 +308,3 @@ def second_order(yz: Floats) -> Floats:
     """(N, 6) 1, y, z, y^2, yz, z^2 of places (N, 2), in units of the target's radius."""
     y, z = yz.T
     return np.column_stack([np.ones(len(y)), y, z, y * y, y * z, z * z])
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class _Shares(Value):
-    """By how much products of columns fall when each ring loses a share of its mean.
-
-    Attributes:
-        of_rings: (R, 1) what the product of two sums over a ring counts.
-        rings: the returns of each ring.
-        rings_of_scan: the rings of each scan.
-        scans: the returns of each scan.
-    """
-
-    of_rings: Floats
-    rings: Groups
-    rings_of_scan: Groups
-    scans: Groups
-
-
-def _shares(rings: Groups, rings_of_scan: Groups, among: Bools, noise: Floats, bias: Floats) -> _Shares:
-    """Demean partially, by how much rings' biases (B,) stand out of the noise (B,) of the returns among some (N,)."""
-    count = rings.sum(among)
-    noise, bias = rings_of_scan.each(noise), rings_of_scan.each(bias)
-    share = 1.0 - noise / np.sqrt(noise**2 + count * bias**2)
-    scans = Groups(np.add.reduceat(rings.counts, rings_of_scan.first))
-    return _Shares(((2 - share) * share / np.maximum(count, 1))[:, None], rings, rings_of_scan, scans)
-
-
-def whitened_products(a: Floats, b: Floats, shares: _Shares) -> tuple[Floats, Floats]:
-    """(B, J, K) products of columns (N, J) and (N, K), each less a share of its means over rings; and as they are."""
-    plain = shares.scans.products(a, b)
-    of_rings = shares.of_rings * shares.rings.sum(a)
-    return plain - shares.rings_of_scan.products(of_rings, shares.rings.sum(b)), plain
-
-
-def least_squares(A: Floats, b: Floats, smallest: float) -> Floats:
-    """(B, K, M) shortest solutions of A x = b, eigenvalues of A below a share of its largest left out."""
-    values, vectors = np.linalg.eigh(A)
-    kept = values > smallest * values[:, -1:]
-    scale = np.where(kept, 1 / np.where(kept, values, 1.0), 0.0)
-    return np.asarray(vectors @ (scale[..., None] * (np.swapaxes(vectors, 1, 2) @ b)))
-
-
-def schur(G: Floats, b: int) -> Floats:
-    """(B, K - b, K - b) Gram matrices of the columns from b on, after those before have been taken out."""
-    return np.asarray(G[:, b:, b:] - G[:, b:, :b] @ least_squares(G[:, :b, :b], G[:, :b, b:], 1e-12))
-
-
-def _f_tails(ratio: Floats, k: Floats, freedom: Floats) -> Floats:
-    """(B,) what `f_tail` says of each."""
-    return np.array([f_tail(*one) for one in zip(ratio.tolist(), k.tolist(), freedom.tolist(), strict=True)])
