@@ -194,22 +194,23 @@ def project_rotation(M: Floats) -> Floats:
 
 
 def eliminate_translation(Q: Floats, kept: Sequence[int] = ()) -> tuple[Floats, Floats]:
-    """Minimise a form (13, 13) in [vec R; t; 1] over t.
+    """Minimise forms (..., 13, 13) in [vec R; t; 1] over t.
 
     Args:
-        Q: (13, 13) the form.
+        Q: (..., 13, 13) the forms, in the cost's unit.
         kept: components of t that stay.
 
     Returns:
-        The form (10 + k, 10 + k) in x = [vec R; what is kept of t; 1], and K with the best rest of t, K x.
+        The forms (..., 10 + k, 10 + k) in x = [vec R; what is kept of t; 1], in that unit, and K with the best rest of
+        t, K x.
     """
     gone = [9 + axis for axis in range(3) if axis not in kept]
     rest = [k for k in range(13) if k not in gone]
-    B = Q[np.ix_(gone, gone)]
+    B, C = Q[..., gone, :][..., gone], Q[..., gone, :][..., rest]
     # A direction that no row constrains takes t = 0 there: the smallest solution.
-    K = -np.linalg.lstsq(B, Q[np.ix_(gone, rest)], rcond=1e-13)[0]
-    form = Q[np.ix_(rest, rest)] + Q[np.ix_(rest, gone)] @ K
-    return 0.5 * (form + form.T), np.asarray(K, dtype=np.float64)
+    K = -np.linalg.pinv(B, rcond=1e-13, hermitian=True) @ C
+    form = Q[..., rest, :][..., rest] + np.swapaxes(C, -1, -2) @ K
+    return 0.5 * (form + np.swapaxes(form, -1, -2)), np.asarray(K)
 
 
 def lower_bound(Q: Floats, backend: Backend = "clarabel", R_in_front: Floats | None = None) -> Bound:
@@ -287,7 +288,8 @@ def closed_form_bounds(forms: Floats, rotations: Floats) -> tuple[Floats, Floats
         rounding.
     """
     count = len(forms)
-    scale = np.trace(forms, axis1=1, axis2=2)
+    trace = np.trace(forms, axis1=1, axis2=2)
+    scale = np.where(trace > 0, trace, 1.0)
     to_identity = np.zeros((count, 10, 10))
     to_identity[:, :9, :9] = _kronecker(np.swapaxes(rotations, 1, 2), np.eye(3)[None])
     to_identity[:, 9, 9] = 1.0
@@ -390,25 +392,47 @@ def certify(
         InputError: a backend that does not exist.
         EstimationError: the measurement constrains no rotation at all.
     """
-    Q = measurement.quadratic()
+    (found,) = certify_all([measurement], T_target_lidar[None], [total_weight], backend, [largest_gap])
+    if isinstance(found, EstimationError):
+        raise found
+    return found
 
-    def judged(bound: float, second_eigenvalue: float) -> Certificate:
-        gap = max(0.0, 2.0 * measurement.error(T_target_lidar) - bound) / total_weight
-        second = second_eigenvalue / total_weight
-        return Certificate(bool(gap <= largest_gap**2 and second > 0), gap, second)
 
+def certify_all(
+    measurements: Sequence[TemplateMeasurement],
+    T_target_lidar: Floats,
+    total_weights: Sequence[float],
+    backend: Backend,
+    largest_gaps: Sequence[float],
+) -> list[Certificate | EstimationError]:
+    """Certify the poses (B, 4, 4) of B measurements at once, see `certify`; an error is the result of its own alone."""
+    Q = np.stack([one.quadratic() for one in measurements])
+    bounds, second = np.full(len(Q), -np.inf), np.zeros(len(Q))
     if backend == "closed-form":
-        form, _ = eliminate_translation(Q)
-        if np.trace(form) > 0:
-            bound, second = closed_form_bounds(form[None], T_target_lidar[None, :3, :3])
-            certificate = judged(float(bound[0]), float(second[0]))
-            if certificate.certified:
-                return certificate
-    dual = lower_bound(Q, backend)
-    certificate = judged(dual.bound, dual.second_eigenvalue)
-    if certificate.certified or T_target_lidar[0, 3] >= 0:
-        return certificate
-    # A bound on all poses holds for those in front too, so the better of the two counts.
-    dual = lower_bound(Q, backend, T_target_lidar[:3, :3])
-    in_front = judged(dual.bound, dual.second_eigenvalue)
-    return in_front if in_front.gap_m2 < certificate.gap_m2 else certificate
+        bounds, second = closed_form_bounds(eliminate_translation(Q)[0], T_target_lidar[:, :3, :3])
+
+    def judged(k: int, bound: float, second_eigenvalue: float) -> Certificate:
+        gap = max(0.0, 2.0 * measurements[k].error(T_target_lidar[k]) - bound) / total_weights[k]
+        second = second_eigenvalue / total_weights[k]
+        return Certificate(bool(gap <= largest_gaps[k] ** 2 and second > 0), gap, second)
+
+    def certificate(k: int) -> Certificate:
+        found = judged(k, float(bounds[k]), float(second[k]))
+        if found.certified:
+            return found
+        dual = lower_bound(Q[k], backend)
+        found = judged(k, dual.bound, dual.second_eigenvalue)
+        if found.certified or T_target_lidar[k, 0, 3] >= 0:
+            return found
+        # A bound on all poses holds for those in front too, so the better of the two counts.
+        dual = lower_bound(Q[k], backend, T_target_lidar[k, :3, :3])
+        in_front = judged(k, dual.bound, dual.second_eigenvalue)
+        return in_front if in_front.gap_m2 < found.gap_m2 else found
+
+    results: list[Certificate | EstimationError] = []
+    for k in range(len(Q)):
+        try:
+            results.append(certificate(k))
+        except EstimationError as error:
+            results.append(error)
+    return results

@@ -15,7 +15,8 @@ from optshape_graph.edges import extract_edge_points, with_top_and_bottom
 from optshape_graph.gaussian import truncated_moments
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import PoseOptions, estimate_pose
-from optshape_graph.pose.ends import Problem
+from optshape_graph.pose.ends.ring_ends import Problem
+from optshape_graph.ring_returns import RingReturns
 from optshape_graph.se3 import inverse
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation import NoiseModel, simulate_target
@@ -108,7 +109,7 @@ def test_as_much_as_with_the_pose_known(name: str, distance: float) -> None:
         for true, other, T_other_true in ((paper, built, inverse(laid)), (built, paper, laid)):
             T = drawn(rng, sensor, distance)
             scan = simulate_target(true, sensor, T, noise=NoiseModel.of(sensor), rng=rng)
-            edges = with_top_and_bottom(extract_edge_points(scan), scan)
+            edges = with_top_and_bottom(extract_edge_points(scan), RingReturns.of([scan]))
             problem = Problem(edges, true, np.zeros((13, 13)), Beam.of(sensor), PoseOptions())
             known.append(
                 log_likelihood(problem, inverse(T))
