@@ -91,6 +91,8 @@ class RingReturns(Value):
 
     def of_scan(self, scan: int) -> RingReturns:
         """Return those of one of the scans."""
+        if len(self.layout) == 1:
+            return self
         rows, rings, one = self.scans.slices[scan], self.rings_of_scan.slices[scan], slice(scan, scan + 1)
         return RingReturns(
             points=self.points[rows], azimuth=self.azimuth[rows], row=self.row[rows], ring=self.ring[rings],

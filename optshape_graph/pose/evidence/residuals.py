@@ -203,10 +203,16 @@ class PlaneResiduals(Value):
         product = r * np.append(r[1:], 0.0)
         product[self.rings.last] = 0.0
         correlation = self.scans.sum(product) / np.maximum(self.scans.sum(r**2), 1e-30)
-        score = correlation * np.sqrt(self.scans.counts - self.layout.rings_of_scan.counts)
+        pairs = self.scans.counts - self.layout.rings_of_scan.counts
+        score = correlation * np.sqrt(pairs)
+        ahead = np.append(np.diff(row) > 0, False)
+        ahead[self.rings.last] = False
+        forward = self.scans.sum(ahead)
         found = []
         for scan, rows in enumerate(self.scans.slices):
-            apart, p = self.of_scan(scan)._passes_apart(azimuth[rows], row[rows])
+            apart, p = 0.0, 1.0
+            if 0 < forward[scan] < pairs[scan]:  # else all rings were recorded from one side to the other
+                apart, p = self.of_scan(scan)._passes_apart(azimuth[rows], row[rows])
             found.append(Sheets(float(correlation[scan]), float(score[scan]), apart, p))
         return found
 
@@ -283,10 +289,6 @@ def _second_pass(rings: Groups, azimuth: Floats, row: Ints) -> Floats | None:
 
     A ring's azimuths run one way in a revolution, so they turn back where the second begins.
     """
-    ahead = np.diff(row) > 0
-    ahead = np.delete(ahead, rings.last[:-1])
-    if ahead.all() or not ahead.any():  # from the left to the right as they are sorted, or all the other way round
-        return None
     column = rings.of_row
     order = np.lexsort((row, column))
     same = np.diff(column[order]) == 0
