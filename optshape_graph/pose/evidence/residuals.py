@@ -181,7 +181,8 @@ class PlaneResiduals(Value):
         Of a hinge's products, those with the terms of a plane, the residuals and itself are enough.
         """
         usual, whitening = self.usual[:, None], self._whitening(self.usual)
-        hinges = np.abs((self.yz @ _ACROSS)[:, :, None] - _AWAY).reshape(len(usual), -1) * usual
+        hinges = np.abs((self.yz @ _ACROSS)[:, :, None] - _AWAY).reshape(len(usual), -1)
+        hinges *= usual
         columns = np.column_stack([self.terms[:, :PLANE], self.e]) * usual
         products, squares = whitening.products(columns, np.column_stack([columns, hinges])), whitening.squares(hinges)
         (left, product, square), (_, _, plain) = map(one_by_one, products, squares)
