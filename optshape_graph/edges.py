@@ -241,15 +241,17 @@ def _parted(azimuth: Floats, first: Ints, last: Ints, step: Floats) -> Floats:
         last: (R,) row of its right end.
         step: (R,) rad.
     """
-    across = np.zeros((len(first), 2))
-    for side, (end, way, other) in enumerate(((first, 1, last), (last, -1, first))):
-        for k in (1, 2):
-            inner, before = end + way * k, end + way * (k - 1)
-            there = way * (other - inner) > 0  # a ring of strays alone has no rest
-            inner, before = np.where(there, inner, end), np.where(there, before, end)
-            gap = np.abs(azimuth[before] - azimuth[inner])
-            across[:, side] = np.where(gap > PARTED * step, np.abs(azimuth[end] - azimuth[inner]), across[:, side])
-    return across.ravel()
+    end, other = np.stack([first, last]), np.stack([last, first])
+    inwards = np.array([[1], [-1]])
+    across = np.zeros(end.shape)
+    for k in (1, 2):
+        inner = end + inwards * k
+        there = inwards * (other - inner) > 0  # a ring of strays alone has no rest
+        inner = np.where(there, inner, end)
+        angle = np.abs(azimuth[end] - azimuth[inner])
+        gap = np.abs(azimuth[np.where(there, inner - inwards, end)] - azimuth[inner])
+        across = np.where(gap > PARTED * step, angle, across)
+    return across.T.ravel()
 
 
 def with_top_and_bottom(edges: EdgePoints, returns: RingReturns) -> EdgePoints:

@@ -76,3 +76,39 @@ class Groups(Value):
     def products(self, a: Floats, b: Floats) -> Floats:
         """Return a^T b (G, J, K) of each group, of rows a (N, J) and b (N, K)."""
         return np.stack([a[rows].T @ b[rows] for rows in self.slices])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Layout(Value):
+    """How the rows of returns lie in arrays: scan by scan, and ring by ring within each.
+
+    Attributes:
+        rings: the returns of each ring.
+        rings_of_scan: the rings of each scan.
+    """
+
+    rings: Groups
+    rings_of_scan: Groups
+
+    @classmethod
+    def side_by_side(cls, layouts: Sequence[Layout]) -> Layout:
+        """Return the layout of the rows of several, one after the other."""
+        if len(layouts) == 1:
+            return layouts[0]
+        rings, scans = zip(*((one.rings.counts, one.rings_of_scan.counts) for one in layouts), strict=True)
+        return cls(Groups(np.concatenate(rings)), Groups(np.concatenate(scans)))
+
+    def __len__(self) -> int:
+        return len(self.rings_of_scan)
+
+    def of_scan(self, scan: int) -> Layout:
+        """Return the layout of one of the scans."""
+        if len(self) == 1:
+            return self
+        rings = self.rings.counts[self.rings_of_scan.slices[scan]]
+        return Layout(Groups(rings), Groups(self.rings_of_scan.counts[scan : scan + 1]))
+
+    @cached_property
+    def scans(self) -> Groups:
+        """The returns of each scan."""
+        return Groups(np.add.reduceat(self.rings.counts, self.rings_of_scan.first))

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value
-from optshape_graph.groups import Groups
+from optshape_graph.groups import Groups, Layout
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
 
@@ -24,8 +24,7 @@ class RingReturns(Value):
         row: (N,) of each return in its scan.
         ring: (R,) number of each ring in its scan.
         reference: (B,) azimuth of the mean direction of each scan's returns, rad.
-        rings: the returns of each ring.
-        rings_of_scan: the rings of each scan.
+        layout: which of them are of which ring, and of which scan.
         made_from: (B,) the scans.
     """
 
@@ -34,8 +33,7 @@ class RingReturns(Value):
     row: Ints
     ring: Ints
     reference: Floats
-    rings: Groups
-    rings_of_scan: Groups
+    layout: Layout
     made_from: tuple[Scan, ...]
 
     @classmethod
@@ -62,15 +60,24 @@ class RingReturns(Value):
             row=order - in_scan.each(in_scan.first),
             ring=number,
             reference=reference,
-            rings=Groups(np.diff(first, append=len(key))),
-            rings_of_scan=Groups(np.bincount(scan, minlength=len(scans))),
+            layout=Layout(Groups(np.diff(first, append=len(key))), Groups(np.bincount(scan, minlength=len(scans)))),
             made_from=tuple(scans),
         )
 
-    @cached_property
+    @property
+    def rings(self) -> Groups:
+        """The returns of each ring."""
+        return self.layout.rings
+
+    @property
+    def rings_of_scan(self) -> Groups:
+        """The rings of each scan."""
+        return self.layout.rings_of_scan
+
+    @property
     def scans(self) -> Groups:
         """The returns of each scan."""
-        return Groups(np.add.reduceat(self.rings.counts, self.rings_of_scan.first))
+        return self.layout.scans
 
     @property
     def sensors(self) -> list[SensorModel | None]:
@@ -84,11 +91,12 @@ class RingReturns(Value):
 
     def of_scan(self, scan: int) -> RingReturns:
         """Return those of one of the scans."""
+        if len(self.layout) == 1:
+            return self
         rows, rings, one = self.scans.slices[scan], self.rings_of_scan.slices[scan], slice(scan, scan + 1)
         return RingReturns(
             points=self.points[rows], azimuth=self.azimuth[rows], row=self.row[rows], ring=self.ring[rings],
-            reference=self.reference[one], rings=Groups(self.rings.counts[rings]),
-            rings_of_scan=Groups(self.rings_of_scan.counts[one]), made_from=self.made_from[one],
+            reference=self.reference[one], layout=self.layout.of_scan(scan), made_from=self.made_from[one],
         )  # fmt: skip
 
     def moved(self, points: Floats) -> RingReturns:

@@ -245,7 +245,7 @@ def measure_fit(findings: Sequence[Finding]) -> list[Fit]:
         for found, more in zip(findings, further, strict=True)
     ]
     place = np.arange(len(residuals.e)) - residuals.rings.each(residuals.rings.first)
-    inner = (place > 1) & (place < residuals.rings.each(residuals.counts) - 2)
+    inner = (place > 1) & (place < residuals.rings.each(residuals.rings.counts) - 2)
     steps, chances = residuals.rim_step(np.concatenate([metres for metres, _ in outside]) > -RIM, inner)
     plane = residuals.beyond(PLANE, np.zeros((len(residuals.e), 0)))
     square, freedom = plane.gram[:, -1, -1] / residuals.noise**2, plane.freedom.astype(int)

@@ -109,8 +109,7 @@ def _measure_together(
     ordered = returns.sorted_scans()
     normals, distances = np.array([plane.axes[0] for plane in planes]), np.array([plane.distance for plane in planes])
     on_planes = returns_on_planes(ordered, normals, distances, angular_noise, options.flatness)
-    counts, n_rings = returns.rings.counts, returns.rings_of_scan.counts
-    residuals = PlaneResiduals.of(on_planes, planes, targets, counts, n_rings)
+    residuals = PlaneResiduals.of(on_planes, planes, targets, returns.layout)
     surfaces, sheets = residuals.surfaces(SEEN), residuals.sheets(returns.azimuth, returns.row)
     in_front = list(zip(*(part.tolist() for part in residuals.in_front()), strict=True))
     missing = _missing_inside(returns, edges) if ringed else [0.0] * len(scans)

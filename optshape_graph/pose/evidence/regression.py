@@ -7,13 +7,12 @@ transform of panel regression; Fuller and Battese, J. Econometrics 2, 1974).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.gaussian import f_tail
-from optshape_graph.groups import Groups
+from optshape_graph.groups import Layout
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,45 +45,37 @@ class Whitening(Value):
     """Products of columns (N, ...) over the returns of scans, each column less a share of its mean over each ring.
 
     Attributes:
-        rings: the returns of each ring.
-        rings_of_scan: the rings of each scan.
+        layout: of the returns.
         weight: (R, 1) by how much the product of two sums over a ring counts less.
     """
 
-    rings: Groups
-    rings_of_scan: Groups
+    layout: Layout
     weight: Floats
 
     @classmethod
-    def of(cls, rings: Groups, rings_of_scan: Groups, among: Bools, noise: Floats, bias: Floats) -> Whitening:
+    def of(cls, layout: Layout, among: Bools, noise: Floats, bias: Floats) -> Whitening:
         """Take the share by which a ring's bias stands out of the noise of its returns.
 
         Args:
-            rings: the returns of each ring.
-            rings_of_scan: the rings of each scan.
+            layout: of the returns.
             among: (N,) the returns that count; columns are zero elsewhere.
             noise: (B,) standard deviation of one return, metres.
             bias: (B,) standard deviation of a ring's bias, metres.
         """
-        count = rings.sum(among)
-        noise, bias = rings_of_scan.each(noise), rings_of_scan.each(bias)
+        count = layout.rings.sum(among)
+        noise, bias = layout.rings_of_scan.each(noise), layout.rings_of_scan.each(bias)
         share = 1.0 - noise / np.sqrt(noise**2 + count * bias**2)
-        return cls(rings, rings_of_scan, ((2 - share) * share / np.maximum(count, 1))[:, None])
-
-    @cached_property
-    def scans(self) -> Groups:
-        """The returns of each scan."""
-        return Groups(np.add.reduceat(self.rings.counts, self.rings_of_scan.first))
+        return cls(layout, ((2 - share) * share / np.maximum(count, 1))[:, None])
 
     def products(self, a: Floats, b: Floats) -> tuple[Floats, Floats]:
         """Return the products (B, J, K) of columns (N, J) and (N, K), whitened and as they are."""
-        plain = self.scans.products(a, b)
-        return plain - self.rings_of_scan.products(self.weight * self.rings.sum(a), self.rings.sum(b)), plain
+        plain, rings = self.layout.scans.products(a, b), self.layout.rings
+        return plain - self.layout.rings_of_scan.products(self.weight * rings.sum(a), rings.sum(b)), plain
 
     def squares(self, columns: Floats) -> tuple[Floats, Floats]:
         """Return the squares (B, K) of columns (N, K), whitened and as they are."""
-        plain = self.scans.sum(columns**2)
-        return plain - self.rings_of_scan.sum(self.weight * self.rings.sum(columns) ** 2), plain
+        plain = self.layout.scans.sum(columns**2)
+        return plain - self.layout.rings_of_scan.sum(self.weight * self.layout.rings.sum(columns) ** 2), plain
 
 
 def least_squares(A: Floats, b: Floats, smallest: float) -> Floats:

@@ -16,7 +16,7 @@ import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.factors.plane_returns import PlaneReturns
-from optshape_graph.groups import Groups
+from optshape_graph.groups import Groups, Layout
 from optshape_graph.plane import ReturnsPlane
 from optshape_graph.pose.evidence.regression import Regression, Whitening, f_tails, least_squares, one_by_one, schur
 from optshape_graph.target import Target
@@ -53,8 +53,7 @@ class PlaneResiduals(Value):
         bias: (B,) standard deviation over rings, metres off the plane, likewise.
         file_noise: (B,) the noise of the sensor file, metres off the plane.
         file_bias: (B,) the bias of the sensor file, metres off the plane.
-        counts: (R,) returns of each ring.
-        n_rings: (B,) rings of each scan.
+        layout: which of them are of which ring, and of which scan.
     """
 
     e: Floats
@@ -65,8 +64,7 @@ class PlaneResiduals(Value):
     bias: Floats
     file_noise: Floats
     file_bias: Floats
-    counts: Ints
-    n_rings: Ints
+    layout: Layout
 
     @classmethod
     def of(
@@ -74,8 +72,7 @@ class PlaneResiduals(Value):
         returns: Sequence[PlaneReturns],
         planes: Sequence[ReturnsPlane],
         targets: Sequence[Target],
-        counts: Ints,
-        n_rings: Ints,
+        layout: Layout,
     ) -> PlaneResiduals:
         """Take noise and biases from the scans, never less than those of the sensor files.
 
@@ -83,10 +80,10 @@ class PlaneResiduals(Value):
             returns: (B,) against the planes, each with one bias, noise and bias as the sensor file has them.
             planes: (B,) near theirs.
             targets: (B,) their sizes are the units of places.
-            counts: (R,) returns of each ring.
-            n_rings: (B,) rings of each scan.
+            layout: of the returns.
         """
-        rings, rings_of_scan, scans = Groups(counts), Groups(n_rings), Groups.of([one.offset for one in returns])
+        rings, rings_of_scan, scans = layout.rings, layout.rings_of_scan, layout.scans
+        n_rings = rings_of_scan.counts
         e = -np.concatenate([one.offset for one in returns])
         yz = np.concatenate([
             (one.points - plane.centre) @ plane.axes[1:].T / target.gyration
@@ -101,7 +98,7 @@ class PlaneResiduals(Value):
         usual, seen_noise = np.ones(len(e), dtype=bool), noise
         for _ in range(2):
             columns = np.column_stack([terms, e]) * usual[:, None]
-            G, _ = Whitening.of(rings, rings_of_scan, usual, seen_noise, bias).products(columns, columns)
+            G, _ = Whitening.of(layout, usual, seen_noise, bias).products(columns, columns)
             x = least_squares(G[:, :-1, :-1], G[:, :-1, -1:], 1e-9)[..., 0]
             left = e - np.einsum("nk,nk->n", terms, scans.each(x))
             medians = rings.median(left)
@@ -109,40 +106,41 @@ class PlaneResiduals(Value):
             within = 1.4826 * scans.median(np.abs(rest)) * np.sqrt(scans.counts / freedom)
             seen_noise = np.maximum(noise, within)
             usual = np.abs(rest) <= OUTLYING * scans.each(seen_noise)
-        own = np.pi / 2 * within**2 * rings_of_scan.mean(1 / counts)  # variance of a median of so many
+        own = np.pi / 2 * within**2 * rings_of_scan.mean(1 / rings.counts)  # variance of a median of so many
         freedom = np.maximum(n_rings - 4, 0)
         square = rings_of_scan.sum((medians - rings_of_scan.each(rings_of_scan.mean(medians))) ** 2) - freedom * own
         seen = np.sqrt(np.maximum(PRIOR_RINGS * bias**2 + square, 0.0) / (PRIOR_RINGS + freedom)) * (freedom > 0)
-        return cls(e, yz, rest, usual, seen_noise, np.maximum(bias, seen), noise, bias, counts, n_rings)
+        return cls(e, yz, rest, usual, seen_noise, np.maximum(bias, seen), noise, bias, layout)
 
     @classmethod
     def side_by_side(cls, scans: Sequence[PlaneResiduals]) -> PlaneResiduals:
         """Return the residuals of several scans."""
-        return cls(*(np.concatenate([getattr(scan, field.name) for scan in scans]) for field in fields(cls)))
+        if len(scans) == 1:
+            return scans[0]
+        names = [field.name for field in fields(cls) if field.name != "layout"]
+        arrays = {name: np.concatenate([getattr(scan, name) for scan in scans]) for name in names}
+        return cls(**arrays, layout=Layout.side_by_side([scan.layout for scan in scans]))
 
     def of_scan(self, scan: int) -> PlaneResiduals:
         """Return the residuals of one of the scans."""
-        rows, rings, one = self.scans.slices[scan], self.rings_of_scan.slices[scan], slice(scan, scan + 1)
+        if len(self.layout) == 1:
+            return self
+        rows, one = self.scans.slices[scan], slice(scan, scan + 1)
         return PlaneResiduals(
             e=self.e[rows], yz=self.yz[rows], rest=self.rest[rows], usual=self.usual[rows], noise=self.noise[one],
             bias=self.bias[one], file_noise=self.file_noise[one], file_bias=self.file_bias[one],
-            counts=self.counts[rings], n_rings=self.n_rings[one],
+            layout=self.layout.of_scan(scan),
         )  # fmt: skip
 
-    @cached_property
+    @property
     def rings(self) -> Groups:
         """The returns of each ring."""
-        return Groups(self.counts)
+        return self.layout.rings
 
-    @cached_property
-    def rings_of_scan(self) -> Groups:
-        """The rings of each scan."""
-        return Groups(self.n_rings)
-
-    @cached_property
+    @property
     def scans(self) -> Groups:
         """The returns of each scan."""
-        return Groups(np.add.reduceat(self.counts, self.rings_of_scan.first))
+        return self.layout.scans
 
     @property
     def excess(self) -> Floats:
@@ -183,7 +181,8 @@ class PlaneResiduals(Value):
         Of a hinge's products, those with the terms of a plane, the residuals and itself are enough.
         """
         usual, whitening = self.usual[:, None], self._whitening(self.usual)
-        hinges = np.abs((self.yz @ _ACROSS)[:, :, None] - _AWAY).reshape(len(usual), -1) * usual
+        hinges = np.abs((self.yz @ _ACROSS)[:, :, None] - _AWAY).reshape(len(usual), -1)
+        hinges *= usual
         columns = np.column_stack([self.terms[:, :PLANE], self.e]) * usual
         products, squares = whitening.products(columns, np.column_stack([columns, hinges])), whitening.squares(hinges)
         (left, product, square), (_, _, plain) = map(one_by_one, products, squares)
@@ -205,10 +204,16 @@ class PlaneResiduals(Value):
         product = r * np.append(r[1:], 0.0)
         product[self.rings.last] = 0.0
         correlation = self.scans.sum(product) / np.maximum(self.scans.sum(r**2), 1e-30)
-        score = correlation * np.sqrt(self.scans.counts - self.n_rings)
+        pairs = self.scans.counts - self.layout.rings_of_scan.counts
+        score = correlation * np.sqrt(pairs)
+        ahead = np.append(np.diff(row) > 0, False)
+        ahead[self.rings.last] = False
+        forward = self.scans.sum(ahead)
         found = []
         for scan, rows in enumerate(self.scans.slices):
-            apart, p = self.of_scan(scan)._passes_apart(azimuth[rows], row[rows])
+            apart, p = 0.0, 1.0
+            if 0 < forward[scan] < pairs[scan]:  # else all rings were recorded from one side to the other
+                apart, p = self.of_scan(scan)._passes_apart(azimuth[rows], row[rows])
             found.append(Sheets(float(correlation[scan]), float(score[scan]), apart, p))
         return found
 
@@ -245,7 +250,7 @@ class PlaneResiduals(Value):
         return np.where(few, 0.0, x[:, 0]), np.where(few, 1.0, p)
 
     def _whitening(self, among: Bools) -> Whitening:
-        return Whitening.of(self.rings, self.rings_of_scan, among, self.noise, self.bias)
+        return Whitening.of(self.layout, among, self.noise, self.bias)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -285,10 +290,6 @@ def _second_pass(rings: Groups, azimuth: Floats, row: Ints) -> Floats | None:
 
     A ring's azimuths run one way in a revolution, so they turn back where the second begins.
     """
-    ahead = np.diff(row) > 0
-    ahead = np.delete(ahead, rings.last[:-1])
-    if ahead.all() or not ahead.any():  # from the left to the right as they are sorted, or all the other way round
-        return None
     column = rings.of_row
     order = np.lexsort((row, column))
     same = np.diff(column[order]) == 0

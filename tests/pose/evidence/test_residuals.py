@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2, f
 
 from optshape_graph.gaussian import chi_square_tail, f_tail
+from optshape_graph.groups import Groups, Layout
 from optshape_graph.io import load_target
 from optshape_graph.pose import PoseOptions
 from optshape_graph.pose.ends.fit import SEEN
@@ -113,7 +114,8 @@ def test_two_revolutions_apart() -> None:
     again = np.tile([0, 1], len(scan))  # each return twice, the one right after the other in its ring
     twice = replace(
         flat,
-        e=np.repeat(flat.e, 2) + 0.02 * again, yz=np.repeat(flat.yz, 2, axis=0), counts=2 * flat.counts,
+        e=np.repeat(flat.e, 2) + 0.02 * again, yz=np.repeat(flat.yz, 2, axis=0),
+        layout=Layout(Groups(2 * flat.rings.counts), flat.layout.rings_of_scan),
         rest=np.repeat(flat.rest, 2) + 0.02 * again - 0.01, usual=np.repeat(flat.usual, 2),
     )  # fmt: skip
     (found,) = twice.sheets(np.repeat(azimuth, 2) - 1e-4 * again, np.repeat(row, 2) + len(scan) * again)
