@@ -13,7 +13,7 @@ from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import PoseOptions, estimate_pose, modes
 from optshape_graph.pose.evidence import measure
 from optshape_graph.pose.modes import compare_modes, find_candidates
-from optshape_graph.pose.rings import sampled_measurement
+from optshape_graph.pose.sampling.sampled import sampled_measurement
 from optshape_graph.se3 import difference, inverse, rotation_vector
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 from tests.pose.clouds import errors
@@ -68,7 +68,7 @@ def test_what_was_sampled_is_what_the_measurement_says(seed: int) -> None:
     errors move plane and edges together, which samples don't know: here they move each for itself.)
     """
     scan, target = far_scan(seed)
-    evidence = measure(scan, target, PoseOptions())
+    (evidence,) = measure([scan], [target], PoseOptions())
     sampled = compare_modes(find_candidates([evidence])[0], evidence).sampled
     assert sampled is not None
     problem = evidence.problem
@@ -108,7 +108,7 @@ def test_lookalikes_bring_the_shape_nearest_to_itself(name: str) -> None:
     """Half a turn is among them; of symmetric shapes all are the pose itself, its z axis up."""
     target = load_target(name)
     T = inverse(pose_from_rpy([9.0, 0.5, 0.2], [0.1, 0.2, -0.1]))[None]
-    turned = modes._lookalikes(T, target)
+    turned = modes._upright(target.lookalike_transforms @ T, target)
     angles = np.degrees(rotation_vector(turned[:, :3, :3] @ T[0, :3, :3].T)[:, 0])
     np.testing.assert_allclose(rotation_vector(turned[:, :3, :3] @ T[0, :3, :3].T)[:, 1:], 0.0, atol=1e-9)
     if name == "paper":
