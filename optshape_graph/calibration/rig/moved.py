@@ -12,7 +12,7 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.rig.graph import RigGraph
 from optshape_graph.calibration.rig.judgement import scatter_of
-from optshape_graph.calibration.rig.left_out import dense_information, rows_of
+from optshape_graph.calibration.rig.left_out import dense_information, inverted, rows_of
 from optshape_graph.calibration.rig.sightings import Sighting
 from optshape_graph.calibration.rig.solution import RigSolution
 from optshape_graph.calibration.rig.solve import solve_graph
@@ -134,7 +134,7 @@ def _likeliest(solved: RigSolution) -> Moved | None:
     information = dense_information(solved)
     if information is None:
         return None
-    covariance, columns = np.asarray(np.linalg.inv(information), float), solved.solution.system.columns
+    covariance, columns = inverted(information, np.diag(information)), solved.solution.system.columns
     rows = {n: rows_of(link, columns, len(information)) for n, link in solved.linked.items()}
     options = [_explained(np.eye(6), rows[n], link.d, covariance, "", (n, n)) for n, link in solved.linked.items()]
     sightings, tracks = solved.graph.start.sightings, dict[str, list[int]]()
