@@ -15,13 +15,14 @@ from optshape_graph.factors.static import (
     BRIGHTNESS,
     COMMON_RANGE,
     RANGE_BIAS,
+    RANGE_TREND,
     BiasedMeasurement,
     SharedError,
     angle_entries,
     spread,
 )
 from optshape_graph.scan import Scan
-from optshape_graph.sensor import SensorModel
+from optshape_graph.sensor import SensorModel, ring_trend
 from optshape_graph.target import FLATNESS
 
 
@@ -73,7 +74,7 @@ class PlaneReturns(Value):
         )
 
     def with_angles(self, normal: Floats, ring: Ints, sensor: SensorModel | None) -> PlaneReturns:
-        """Return them with errors of each ring's elevation and azimuth, and of all ranges together.
+        """Return them with errors of each ring's elevation and azimuth, and of what all ranges share.
 
         Args:
             normal: (3,) unit normal of the plane, LiDAR frame.
@@ -84,11 +85,14 @@ class PlaneReturns(Value):
             upward(self.points) @ normal / self.sigma, leftward(self.points) @ normal / self.sigma, ring, sensor
         )
         found = self.sharing(errors, moved, which)
-        if sensor is None or sensor.common_range_sd == 0:
-            return found
-        return found.sharing([SharedError(COMMON_RANGE)], self._by_ranges(normal, sensor.common_range_sd))
+        if sensor is not None and sensor.common_range_sd > 0:
+            found = found.sharing([SharedError(COMMON_RANGE)], self._by_ranges(normal, sensor.common_range_sd))
+        if sensor is not None and sensor.range_trend_sd > 0:
+            by_trend = self._by_ranges(normal, sensor.range_trend_sd * ring_trend(sensor, ring))
+            found = found.sharing([SharedError(RANGE_TREND)], by_trend)
+        return found
 
-    def _by_ranges(self, normal: Floats, sigma: float) -> Floats:
+    def _by_ranges(self, normal: Floats, sigma: float | Floats) -> Floats:
         """(N, 1) how far an error of all ranges, of a standard deviation in metres, moves each residual."""
         cosine = np.abs(self.points @ normal) / np.linalg.norm(self.points, axis=1)
         return np.asarray(sigma * cosine / self.sigma)[:, None]

@@ -20,7 +20,7 @@ from optshape_graph.factors._rows import triangular
 from optshape_graph.gaussian import chi_square_tail, f_tail
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.se3 import apply
-from optshape_graph.sensor import SensorModel, angle_sds
+from optshape_graph.sensor import SensorModel, total_angle_sds
 from optshape_graph.target import Target
 
 SEEN = 0.02
@@ -87,15 +87,13 @@ class RingEnds(Value):
         width: (B, M) of the interval in which it lies, rad.
         step: (B, M) azimuth step, or the interval where that is wider, rad.
         scatter: (B, M) standard deviation of the interval's place, rad.
-        elevation_sd: (B, M) of each ring's elevation, rad.
-        azimuth_sd: (B, M) of each ring's azimuth, rad.
+        elevation_sd: (B, M) of each ring's elevation, what all rings share included, rad.
+        azimuth_sd: (B, M) likewise of each ring's azimuth, rad.
         by_shift: (B, M, K) outward motion, rad, for a standard deviation of the blooming, and of noisy rings' shifts.
         plane: (B, 13, 13) quadratic form in [z; 1] of the returns' whitened distances from the plane.
         normals: (B, n, 2) of the target's edges.
         offsets: (B, n) of its edges, metres.
         vertices: (B, n, 3) of the target, metres.
-        common_elevation_sd: (B,) of what all rings have in common, rad.
-        common_azimuth_sd: (B,) likewise, rad.
         flatness: (B,) standard deviation of the target about its drawing, metres.
         beam_offset: (B,) how far in returns at edges lie, beam widths.
         offset_sd: (B,) standard deviation of that, beam widths.
@@ -127,8 +125,6 @@ class RingEnds(Value):
     normals: Floats
     offsets: Floats
     vertices: Floats
-    common_elevation_sd: Floats
-    common_azimuth_sd: Floats
     flatness: Floats
     beam_offset: Floats
     offset_sd: Floats
@@ -155,7 +151,7 @@ class RingEnds(Value):
         """Return the ring ends of one scan; see `Problem`."""
         ranges = np.linalg.norm(edges.points, axis=1)
         blooming = np.where(np.abs(edges.side) < UP, beam.blooming, 0.0)
-        up, left = angle_sds(sensor, edges.ring)
+        up, left = total_angle_sds(sensor, edges.ring)
         rings = edges.ring[np.abs(edges.side) < UP]
         outer = np.zeros(0) if sensor is None else np.delete(sensor.elevations, slice(rings[0], rings[-1] + 1))
         one = {
@@ -165,10 +161,8 @@ class RingEnds(Value):
             "step": np.maximum(edges.width, edges.azimuth_step), "scatter": edges.scatter, "elevation_sd": up,
             "azimuth_sd": left, "by_shift": np.column_stack([blooming, ring_shifts]), "plane": plane,
             "normals": target.normals, "offsets": target.offsets, "vertices": target.vertices,
-            "common_elevation_sd": 0.0 if sensor is None else sensor.common_elevation_sd,
-            "common_azimuth_sd": 0.0 if sensor is None else sensor.common_azimuth_sd, "flatness": options.flatness,
-            "beam_offset": beam.offset, "offset_sd": beam.common, "lost_ends": options.lost_ends,
-            "lost_span": options.lost_span, "azimuth_step": edges.azimuth_step,
+            "flatness": options.flatness, "beam_offset": beam.offset, "offset_sd": beam.common,
+            "lost_ends": options.lost_ends, "lost_span": options.lost_span, "azimuth_step": edges.azimuth_step,
             "reference_azimuth": edges.reference_azimuth, "beam_angle": np.mean(beam.width(ranges) / ranges),
             "lost_rings": edges.lost_rings, "silent": np.ones(len(outer), dtype=bool), "elevations": outer,
         }  # fmt: skip
@@ -235,8 +229,7 @@ class RingEnds(Value):
         shift = (shift - self.beam_offset[:, None]) * across
         by_angle = direction @ R
         lifted, turned = (by_angle * self.upward).sum(axis=-1), (by_angle * self.leftward).sum(axis=-1)
-        of_ring = (self.elevation_sd**2 + self.common_elevation_sd[:, None] ** 2) * lifted**2
-        of_ring += (self.azimuth_sd**2 + self.common_azimuth_sd[:, None] ** 2) * turned**2
+        of_ring = self.elevation_sd**2 * lifted**2 + self.azimuth_sd**2 * turned**2
         own = self.flatness[:, None] ** 2 + (Beam.OWN * scatter * across) ** 2 + (self.scatter * along) ** 2
         return EdgeGeometry(
             labels=labels,

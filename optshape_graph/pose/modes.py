@@ -32,7 +32,7 @@ from optshape_graph.pose.propagation import (
 )
 from optshape_graph.pose.rays import Rays
 from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, rotation, transform, vec, vec_derivative
-from optshape_graph.sensor import SensorModel, angle_sds
+from optshape_graph.sensor import SensorModel, total_angle_sds
 from optshape_graph.target import Target
 
 AT_ONCE = 240
@@ -261,7 +261,7 @@ def scan_log_likelihood(evidence: Evidence) -> LogDensity:
         rays = Firings.of(scan, ends, options.flatness, options.lost_ends_of_rays, options.lost_span)
     else:
         odd_ends = scan.sensor.odd_ends if scan.sensor else SensorModel.odd_ends
-        up, left = angle_sds(scan.sensor, ends.ring[::2])
+        up, left = total_angle_sds(scan.sensor, ends.ring[::2])
         off = np.sqrt(0.5 * (up**2 + left**2))
         rays = Rays.of(scan, ends, beam.width(ranges) / ranges, off, 2 * target.circumradius, odd_ends)
 
