@@ -135,16 +135,19 @@ class Deviation(Value):
         """The covariance as a file states it: standard deviations of each ring's own error (R,), of one that all rings
         share, and of a trend from ring to ring with the elevation, per rad.
 
-        What is uncertain of the mean and of the trend of the rings that were seen is taken to be shared, as far as it
-        is more than their own errors explain.
+        The shared ones are the mean and the trend of the rings that were seen, each weighed by what would be left of
+        its variance if all other rings were known; less what the rings' own errors explain of them.
         """
-        design = np.column_stack([np.ones(len(self.trend)), self.trend])
-        fit = np.linalg.pinv(design[self.seen])
-        variance, of_fit = np.diag(self.covariance), fit @ self.covariance[np.ix_(self.seen, self.seen)] @ fit.T
-        own = np.zeros(len(variance))
+        variance = np.diag(self.covariance)
+        jitter = 1e-9 * variance.max() + 1e-30  # errors of rings that are exact have no inverse
+        least = 1.0 / np.diag(np.linalg.inv(self.covariance + jitter * np.eye(len(variance))))
+        design = np.column_stack([np.ones(len(variance)), self.trend])
+        fit = np.linalg.pinv(design * np.where(self.seen, 1.0 / np.sqrt(least), 0.0)[:, None])
+        fit = fit * np.where(self.seen, 1.0 / np.sqrt(least), 0.0)
+        of_fit, own = np.diag(fit @ self.covariance @ fit.T), least
         for _ in range(PASSES):
-            together = np.maximum(np.diag(of_fit) - fit**2 @ own[self.seen], 0.0)
-            own = np.maximum(variance - design**2 @ together, 0.0)
+            together = np.maximum(of_fit - fit**2 @ own, 0.0)
+            own = np.maximum(variance - design**2 @ together, least)
         common, trend = np.sqrt(together).tolist()
         return np.sqrt(own), common, trend
 
