@@ -11,8 +11,9 @@ from optshape_graph.factors.measurement import refine
 from optshape_graph.factors.static import AZIMUTH, ELEVATION, BiasedMeasurement, SharedError
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import PoseOptions, estimate_pose, modes
-from optshape_graph.pose.evidence import measure
+from optshape_graph.pose.evidence import ends_of, measure
 from optshape_graph.pose.modes import compare_modes, find_candidates
+from optshape_graph.pose.propagation import work_out
 from optshape_graph.pose.rings import sampled_measurement
 from optshape_graph.se3 import difference, inverse, rotation_vector
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
@@ -116,3 +117,16 @@ def test_lookalikes_bring_the_shape_nearest_to_itself(name: str) -> None:
         assert len(turned) == len(target)
     if name == "square":
         np.testing.assert_allclose(angles, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [15, 17, 41])
+def test_no_association_that_the_best_pose_has_is_likelier(seed: int) -> None:
+    """Ring ends about vertices are given to the edges on which they end at the pose, as far as half a unit goes."""
+    rng = np.random.default_rng([5, seed])
+    sensor, target = load_sensor("vlp32c"), load_target("paper")
+    T = pose_from_rpy([rng.uniform(3, 6), 0, 0], [rng.uniform(-np.pi, np.pi), *rng.uniform(-0.5, 0.5, 2)])
+    scan = simulate_target(target, sensor, T, noise=NoiseModel.of(sensor), rng=rng)
+    evidence = measure(scan, target, PoseOptions())
+    found = find_candidates([evidence])[0]
+    _, own = work_out(ends_of([evidence]), np.zeros(1, int), found.T_target_lidar[:1], None, sweeps=4)
+    assert own.log_likelihood[0] < found.log_likelihood[0] + 0.5
