@@ -212,7 +212,7 @@ class Seen(Value):
         J[:, 6 + place] = rows.B
         prediction = rows.A @ vec(T_target_lidar) + rows.constant + rows.B @ beta[place]
         variance = ((J @ covariance) * J).sum(axis=1)
-        intervals = residual_intervals(g.along, self.problem.ends)
+        intervals = residual_intervals(g, self.problem.ends)
         lower, upper, log_density = (part[:, 0] for part in intervals)
         site = update_sites(
             prediction, variance, _own(g), (lower, upper, log_density), self.precision, self.information
