@@ -52,7 +52,7 @@ def owned(values: ArrayLike | None, dtype: Any) -> NDArray[Any] | None:
     if values is None:
         return None
     array = np.asarray(values, dtype=dtype)
-    array = array if array.base is None and array.flags.writeable else array.copy()
+    array = array if array.base is None else array.copy()
     array.setflags(write=False)
     return array
 

@@ -15,9 +15,9 @@ from dataclasses import replace
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints
-from optshape_graph.edges import EdgePoints, extreme_width, relative_azimuth
+from optshape_graph.edges import EdgePoints, extreme_width
 from optshape_graph.gaussian import f_tail, ndtr
-from optshape_graph.scan import Scan
+from optshape_graph.ring_returns import RingReturns
 
 NEGLIGIBLE = 1e-4
 """Scatter of elevations within a ring, rad, below which angles count as exact, as those of real sensors do."""
@@ -29,49 +29,51 @@ IRREGULAR = 4.0
 """Azimuths count as off any grid if they scatter more than elevations do by this many standard deviations."""
 
 
-def level_rings(scan: Scan) -> tuple[Scan, float]:
+def level_rings(returns: RingReturns) -> tuple[RingReturns, Floats]:
     """Move every return to the cone of its ring, and measure how far the returns were off it.
 
     A ring's elevation is the sensor's, if the returns agree with it, else their mean. Azimuths are assumed to have the
     same noise; there it cannot be removed.
 
     Args:
-        scan: the returns of one target, with rings.
+        returns: of B scans of one target each.
 
     Returns:
-        The scan, unchanged if its angles are exact; and the standard deviation of an angle, rad.
+        The returns, those of scans with exact angles unchanged; and the standard deviation (B,) of an angle, rad.
     """
-    if scan.ring is None or len(scan) == 0:
-        return scan, 0.0
-    flat = np.hypot(scan.points[:, 0], scan.points[:, 1])
-    elevation = np.arctan2(scan.points[:, 2], flat)
-    rings, inverse, counts = np.unique(scan.ring, return_inverse=True, return_counts=True)
-    mean = np.bincount(inverse, elevation) / counts
-    off = elevation - mean[inverse]
-    freedom = len(scan) - len(rings)
-    noise = float(np.sqrt((off**2).sum() / freedom)) if freedom > 0 else 0.0
-    if noise < NEGLIGIBLE:
-        return scan, 0.0
-    level, known = _known(scan, rings, mean, noise / np.sqrt(counts))
-    level = level[inverse]
+    rings, rings_of_scan, scans = returns.rings, returns.rings_of_scan, returns.scans
+    mean = rings.mean(returns.elevation)
+    square = rings_of_scan.sum(rings.sum((returns.elevation - rings.each(mean)) ** 2))
+    freedom = scans.counts - rings_of_scan.counts
+    noise = np.sqrt(np.where(freedom > 0, square, 0.0) / np.maximum(freedom, 1))
+    noise = np.where(noise < NEGLIGIBLE, 0.0, noise)
+    if not noise.any():
+        return returns, noise
+    level, known = _known(returns, mean, rings_of_scan.each(noise) / np.sqrt(rings.counts))
     # A known elevation takes no degree of freedom: far away, where rings have few returns, that doubles what is left.
-    noise = float(np.sqrt(((elevation - level) ** 2).sum() / (len(scan) - (~known).sum())))
-    ranges = np.linalg.norm(scan.points, axis=1)
-    horizontal = scan.points[:, :2] / np.maximum(flat, 1e-12)[:, None]
-    points = np.column_stack([horizontal * np.cos(level)[:, None], np.sin(level)]) * ranges[:, None]
-    return replace(scan, points=points), noise
+    square = rings_of_scan.sum(rings.sum((returns.elevation - rings.each(level)) ** 2))
+    noisy = noise > 0
+    noise[noisy] = np.sqrt(square / (scans.counts - rings_of_scan.sum(~known)))[noisy]
+    x, y, _ = returns.points.T
+    along, up = np.linalg.norm(returns.points, axis=1), rings.each(level)
+    inwards = along * np.cos(up) / np.maximum(np.hypot(x, y), 1e-12)
+    points = np.column_stack([inwards * x, inwards * y, along * np.sin(up)])
+    return returns.moved(np.where(scans.each(noisy)[:, None], points, returns.points)), noise
 
 
-def _known(scan: Scan, rings: Ints, mean: Floats, error: Floats) -> tuple[Floats, Bools]:
+def _known(returns: RingReturns, mean: Floats, error: Floats) -> tuple[Floats, Bools]:
     """Return each ring's elevation, and whether it is the table's: where the mean is within 5 standard errors of it."""
-    if scan.sensor is None:
-        return mean, np.zeros(len(rings), dtype=bool)
-    table = scan.sensor.elevations[rings]
+    table = np.concatenate(
+        [
+            np.full(rings.stop - rings.start, np.inf) if sensor is None else sensor.elevations[returns.ring[rings]]
+            for sensor, rings in zip(returns.sensors, returns.rings_of_scan.slices, strict=True)
+        ]
+    )
     known = np.abs(mean - table) < 5 * error
     return np.where(known, table, mean), known
 
 
-def place_on_firings(edges: EdgePoints, scan: Scan, azimuth_noise: float) -> EdgePoints:
+def place_on_firings(edges: EdgePoints, returns: RingReturns, azimuth_noise: float) -> EdgePoints:
     """Move the ends of rings to the first and last firing that returned.
 
     If the returns are not on a regular grid (several revolutions merged, firings that jitter), the ends stay at the
@@ -79,26 +81,21 @@ def place_on_firings(edges: EdgePoints, scan: Scan, azimuth_noise: float) -> Edg
 
     Args:
         edges: both ends of each ring, at the extremes.
-        scan: the returns they were found in.
+        returns: of the one scan that they were found in.
         azimuth_noise: standard deviation of one azimuth, rad; 0: nothing to do.
     """
     if azimuth_noise == 0.0:
         return edges
-    assert scan.ring is not None
-    azimuth, _ = relative_azimuth(scan.points)
-    order = np.lexsort((-azimuth, scan.ring))
-    counts = np.unique(scan.ring, return_counts=True)[1]
-    row = np.repeat(np.arange(len(counts)), counts)
-    rank = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
+    rings, counts, n = returns.rings, returns.rings.counts, len(returns.points)
     steps = np.full((len(counts), counts.max()), np.nan)
-    steps[row, rank] = azimuth[order] / edges.azimuth_step
+    steps[rings.of_row, np.arange(n) - rings.each(rings.first)] = returns.azimuth / edges.azimuth_step
     jitter = azimuth_noise / edges.azimuth_step
     slots = _slots(steps, jitter)
     left = np.nanmean(steps + slots, axis=1)
     off = steps + slots - left[:, None]
-    freedom = max(len(scan) - len(counts), 1)
+    freedom = max(n - len(counts), 1)
     ratio = np.nansum(off**2) / (freedom * jitter**2)  # of two variances, each of about as many returns
-    merged = len(scan) / np.sum(1.0 + np.nanmax(steps, axis=1) - np.nanmin(steps, axis=1))
+    merged = n / np.sum(1.0 + np.nanmax(steps, axis=1) - np.nanmin(steps, axis=1))
     if merged > 1.5 or np.log(ratio) > IRREGULAR * 2 / np.sqrt(freedom):
         revolutions = edges.revolutions[::2] if merged > 1.5 else np.ones(len(counts))
         return _extremes(edges, revolutions, counts, jitter)
@@ -176,47 +173,61 @@ def _overshoot(jitter: float, returns: int, revolutions: int) -> tuple[float, fl
     return mean, float(density @ (middle - mean) ** 2 / density.sum())
 
 
-def at_firing_times(scan: Scan) -> Scan:
+def at_firing_times(returns: RingReturns) -> RingReturns:
     """Turn each ring by the angle that the sensor had turned when the ring fired, unless the driver has done so.
 
     A driver that gives all lasers of a cycle one azimuth leaves the rings on one grid; other drivers leave them on
     grids shifted by the firing times. The grid on which the azimuths of different rings agree better is the scan's.
 
     Args:
-        scan: with rings; one whose sensor states no firing times or no azimuth step is returned as it is.
+        returns: of B scans; those whose sensors state no firing times or no azimuth step are returned as they are.
     """
-    sensor = scan.sensor
-    if sensor is None or sensor.firing_phases is None or sensor.azimuth_step is None or scan.ring is None:
-        return scan
-    phases = sensor.firing_phases[scan.ring]
-    offsets = 0.0 if sensor.azimuth_offsets is None else sensor.azimuth_offsets[scan.ring]
-    azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0]) - offsets
-    grid = np.exp(2j * np.pi * azimuth / sensor.azimuth_step)
-    if np.abs(np.sum(grid)) <= np.abs(np.sum(grid * np.exp(2j * np.pi * phases))):
-        return scan
-    turned = (scan.points[:, 0] + 1j * scan.points[:, 1]) * np.exp(-1j * phases * sensor.azimuth_step)
-    return replace(scan, points=np.column_stack([turned.real, turned.imag, scan.points[:, 2]]))
+    rings, rings_of_scan = returns.rings, returns.rings_of_scan
+    late, start, steps = np.zeros(len(rings)), np.zeros(len(rings)), np.ones(len(rings_of_scan))
+    for scan, (sensor, mine) in enumerate(zip(returns.sensors, rings_of_scan.slices, strict=True)):
+        if sensor is None or sensor.firing_phases is None or sensor.azimuth_step is None:
+            continue
+        late[mine], steps[scan] = sensor.firing_phases[returns.ring[mine]], sensor.azimuth_step
+        if sensor.azimuth_offsets is not None:
+            start[mine] = sensor.azimuth_offsets[returns.ring[mine]]
+    if not late.any():
+        return returns
+    x, y, z = returns.points.T
+    step = rings_of_scan.each(steps)
+    phase = 2 * np.pi * rings.each(1 / step) * (np.arctan2(y, x) - rings.each(start))
+    grid = rings.sum(np.cos(phase)) + 1j * rings.sum(np.sin(phase))
+    at_once, in_turn = (
+        np.hypot(rings_of_scan.sum(sums.real), rings_of_scan.sum(sums.imag))
+        for sums in (grid, grid * np.exp(2j * np.pi * late))
+    )
+    turned = np.where(rings_of_scan.each(at_once <= in_turn), 0.0, -late * step)
+    if not turned.any():
+        return returns
+    c, s = rings.each(np.cos(turned)), rings.each(np.sin(turned))
+    return returns.moved(np.column_stack([c * x - s * y, s * x + c * y, z]))
 
 
-def tilt_of_rings(scan: Scan) -> tuple[float, float]:
-    """Return how elevations vary with azimuth within rings.
+def tilt_of_rings(returns: RingReturns) -> list[tuple[float, float]]:
+    """Return how elevations vary with azimuth within rings, of B scans.
 
     A ring is a cone about the sensor's own axis. In the frame of a vehicle, or after a correction for motion, its
     elevations vary.
 
     Returns:
-        The rms, rad, of a line fitted to each ring, and the probability of as much by chance.
+        The rms, rad, of a line fitted to each ring of a scan, and the probability of as much by chance.
     """
-    assert scan.ring is not None
-    elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
-    azimuth, _ = relative_azimuth(scan.points)
-    _, column, counts = np.unique(scan.ring, return_inverse=True, return_counts=True)
-    off = elevation - (np.bincount(column, elevation) / counts)[column]
-    a = azimuth - (np.bincount(column, azimuth) / counts)[column]
-    square = np.bincount(column, a * a)
-    fitted = (np.bincount(column, a * off) / np.maximum(square, 1e-12))[column] * a
-    k = int((square > 1e-12).sum())
-    freedom = len(scan) - len(counts) - k
-    left = float(((off - fitted) ** 2).sum()) / max(freedom, 1)
-    F = float((fitted**2).sum()) / max(k, 1) / max(left, 1e-16)
-    return float(np.sqrt(np.mean(fitted**2))), f_tail(F, max(k, 1), freedom)
+    rings, rings_of_scan, scans = returns.rings, returns.rings_of_scan, returns.scans
+    off = returns.elevation - rings.each(rings.mean(returns.elevation))
+    a = returns.azimuth - rings.each(rings.mean(returns.azimuth))
+    square = rings.sum(a * a)
+    fitted = rings.each(rings.sum(a * off) / np.maximum(square, 1e-12)) * a
+    k = rings_of_scan.sum(square > 1e-12)
+    freedom = scans.counts - rings_of_scan.counts - k
+    explained = scans.sum(fitted**2)
+    left = scans.sum((off - fitted) ** 2) / np.maximum(freedom, 1)
+    F = explained / np.maximum(k, 1) / np.maximum(left, 1e-16)
+    rms = np.sqrt(explained / scans.counts)
+    return [
+        (size, f_tail(*of))
+        for size, *of in zip(rms.tolist(), F.tolist(), np.maximum(k, 1).tolist(), freedom.tolist(), strict=True)
+    ]

@@ -13,6 +13,8 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value, frozen
 from optshape_graph.errors import EstimationError
+from optshape_graph.groups import Groups
+from optshape_graph.ring_returns import RingReturns, relative_azimuths
 from optshape_graph.scan import Scan
 
 LEFT, RIGHT = 1, -1
@@ -128,30 +130,23 @@ class EdgePoints(Value):
 
 
 def leftward(points: Floats) -> Floats:
-    """Return the motion (N, 3), metres per radian, of points (N, 3) as their azimuth grows."""
-    return np.column_stack([-points[:, 1], points[:, 0], np.zeros(len(points))])
+    """Return the motion (..., 3), metres per radian, of points (..., 3) as their azimuth grows."""
+    moved = np.zeros(points.shape)
+    moved[..., 0], moved[..., 1] = -points[..., 1], points[..., 0]
+    return moved
 
 
 def upward(points: Floats) -> Floats:
-    """Return the motion (N, 3), metres per radian, of points (N, 3) as their elevation grows at constant range."""
-    x, y, z = points.T
-    flat = np.hypot(x, y)
-    return np.column_stack([-x * z / flat, -y * z / flat, flat])
+    """Return the motion (..., 3), metres per radian, of points (..., 3) as their elevation grows at constant range."""
+    flat, moved = np.hypot(points[..., 0], points[..., 1]), np.empty(points.shape)
+    moved[..., :2], moved[..., 2] = points[..., :2] * (-points[..., 2] / flat)[..., None], flat
+    return moved
 
 
 def relative_azimuth(points: Floats) -> tuple[Floats, float]:
-    """Return the azimuths of returns relative to their mean direction; correct across the +-180 degree seam.
-
-    Args:
-        points: (N, 3) metres, LiDAR frame.
-
-    Returns:
-        (N,) rad in (-pi, pi], and the azimuth of the mean direction, rad.
-    """
-    direction = points[:, 0] + 1j * points[:, 1]
-    direction = direction / np.maximum(np.abs(direction), 1e-12)
-    reference = float(np.angle(direction.sum()))
-    return np.angle(direction * np.exp(-1j * reference)), reference
+    """Return the azimuths (N,) of one scan's returns (N, 3), metres, as `relative_azimuths` does, and the reference."""
+    azimuth, reference = relative_azimuths(points, Groups.of([points]))
+    return azimuth, float(reference[0])
 
 
 def azimuth_spacing(azimuth: Floats, ring: Ints) -> float | None:
@@ -168,9 +163,7 @@ def azimuth_spacing(azimuth: Floats, ring: Ints) -> float | None:
 
 
 def extract_edge_points(scan: Scan) -> EdgePoints:
-    """Find both ends of each ring, by azimuth.
-
-    The azimuth step is the sensor's, or the median spacing of the returns if the sensor states none.
+    """Find both ends of each ring, by azimuth; see `edge_points`.
 
     Args:
         scan: the returns of one target, with rings.
@@ -182,40 +175,56 @@ def extract_edge_points(scan: Scan) -> EdgePoints:
         raise EstimationError(f"{scan.name}: no returns on the target")
     if scan.ring is None:
         raise EstimationError(f"{scan.name}: edge points need rings, and the cloud has none")
-    azimuth, reference = relative_azimuth(scan.points)
-    spacing = azimuth_spacing(azimuth, scan.ring)
-    step = scan.sensor.azimuth_step if scan.sensor else None
-    if step is None:
-        step = spacing
-    if step is None:
-        raise EstimationError(f"{scan.name}: the sensor states no azimuth step, and no ring has two returns")
+    (edges,) = edge_points(RingReturns.of([scan]))
+    if isinstance(edges, EstimationError):
+        raise edges
+    return edges
 
-    order = np.lexsort((-azimuth, scan.ring))
-    ring = scan.ring[order]
-    first = np.flatnonzero(np.diff(ring, prepend=ring[0] - 1))
-    last = np.append(first[1:], len(ring)) - 1
-    index = np.column_stack([order[first], order[last]]).ravel()
 
-    span = azimuth[order[first]] - azimuth[order[last]]
-    density = (last - first) * step / np.maximum(span, step)
+def edge_points(returns: RingReturns) -> list[EdgePoints | EstimationError]:
+    """Find both ends of each ring of B scans, by azimuth.
+
+    The azimuth step is the sensor's, or the median spacing of the returns if the sensor states none.
+
+    Returns:
+        For each scan its edge points; or the error, where a step is neither stated nor seen.
+    """
+    azimuth, rings, rings_of_scan = returns.azimuth, returns.rings, returns.rings_of_scan
+    gap = azimuth - np.append(azimuth[1:], 0.0)
+    gap[rings.last] = 0.0
+    spacing = returns.scans.median(gap, gap > 1e-6)
+    stated = [None if sensor is None else sensor.azimuth_step for sensor in returns.sensors]
+    steps = np.where([step is None for step in stated], spacing, [step or 0.0 for step in stated])
+    step = np.where(np.isfinite(steps), steps, 1.0)
+
+    step_of, first, last = rings_of_scan.each(step), rings.first, rings.last
+    density = (rings.counts - 1) * step_of / np.maximum(azimuth[first] - azimuth[last], step_of)
     revolutions = np.maximum(np.rint(density), 1)
-    if spacing is not None and spacing > 0.75 * step:
-        revolutions[:] = 1  # gaps and jitter make single rings look denser than they are
-    nothing = np.zeros(len(index))
-    return EdgePoints(
-        points=scan.points[index],
-        ring=scan.ring[index],
-        side=np.tile([LEFT, RIGHT], len(first)),
-        azimuth=azimuth[index],
-        index=index,
-        revolutions=np.repeat(revolutions, 2).astype(np.int64),
-        lower=-_parted(azimuth[order], first, last, step),
-        upper=np.repeat(extreme_width(revolutions), 2) * step,
-        scatter=nothing,
-        shift=nothing,
-        reference_azimuth=reference,
-        azimuth_step=step,
-    )
+    # Gaps and jitter make single rings look denser than they are.
+    revolutions[rings_of_scan.each(np.isfinite(spacing) & (spacing > 0.75 * step))] = 1
+    index = np.column_stack([first, last]).ravel()
+    points, at, row = returns.points[index], azimuth[index], returns.row[index]
+    ring, revolutions = np.repeat(returns.ring, 2), np.repeat(revolutions, 2)
+    lower = -_parted(azimuth, first, last, step_of)
+    upper = extreme_width(revolutions) * np.repeat(step_of, 2)
+    found: list[EdgePoints | EstimationError] = []
+    for number, (scan, rows) in enumerate(zip(returns.made_from, rings_of_scan.slices, strict=True)):
+        if not np.isfinite(steps[number]):
+            found.append(
+                EstimationError(f"{scan.name}: the sensor states no azimuth step, and no ring has two returns")
+            )
+            continue
+        ends = slice(2 * rows.start, 2 * rows.stop)
+        nothing = np.zeros(ends.stop - ends.start)
+        found.append(
+            EdgePoints(
+                points=points[ends], ring=ring[ends], side=np.tile([LEFT, RIGHT], len(nothing) // 2), azimuth=at[ends],
+                index=row[ends], revolutions=revolutions[ends].astype(np.int64), lower=lower[ends], upper=upper[ends],
+                scatter=nothing, shift=nothing, reference_azimuth=float(returns.reference[number]),
+                azimuth_step=float(step[number]),
+            )
+        )  # fmt: skip
+    return found
 
 
 PARTED = 2.5
@@ -223,60 +232,57 @@ PARTED = 2.5
 ends of one recorded sensor lie outside the target, those of another on its rim."""
 
 
-def _parted(azimuth: Floats, first: Ints, last: Ints, step: float) -> Floats:
+def _parted(azimuth: Floats, first: Ints, last: Ints, step: Floats) -> Floats:
     """Return the angle (M,) from each end of a ring inwards across a gap after its first or second return; 0: no gap.
 
     Args:
         azimuth: (N,) of the returns, ring by ring, falling within each, rad.
         first: (R,) row of each ring's left end.
         last: (R,) row of its right end.
-        step: rad.
+        step: (R,) rad.
     """
-    across = np.zeros((len(first), 2))
-    for side, (end, way, other) in enumerate(((first, 1, last), (last, -1, first))):
-        for k in (1, 2):
-            inner, before = end + way * k, end + way * (k - 1)
-            there = way * (other - inner) > 0  # a ring of strays alone has no rest
-            inner, before = np.where(there, inner, end), np.where(there, before, end)
-            gap = np.abs(azimuth[before] - azimuth[inner])
-            across[:, side] = np.where(gap > PARTED * step, np.abs(azimuth[end] - azimuth[inner]), across[:, side])
-    return across.ravel()
+    end, other = np.stack([first, last]), np.stack([last, first])
+    inwards = np.array([[1], [-1]])
+    across = np.zeros(end.shape)
+    for k in (1, 2):
+        inner = end + inwards * k
+        there = inwards * (other - inner) > 0  # a ring of strays alone has no rest
+        inner = np.where(there, inner, end)
+        angle = np.abs(azimuth[end] - azimuth[inner])
+        gap = np.abs(azimuth[np.where(there, inner - inwards, end)] - azimuth[inner])
+        across = np.where(gap > PARTED * step, angle, across)
+    return across.T.ravel()
 
 
-def with_top_and_bottom(edges: EdgePoints, scan: Scan) -> EdgePoints:
+def with_top_and_bottom(edges: EdgePoints, returns: RingReturns) -> EdgePoints:
     """Add a return of the highest ring and one of the lowest, since the target ends before the next ring.
 
     Each is from the middle of its ring. Nothing is added where the sensor has no further ring, or is unknown.
 
     Args:
         edges: both ends of each ring.
-        scan: the returns they were found in.
+        returns: of the one scan that they were found in.
     """
-    if scan.sensor is None or scan.ring is None:
+    (sensor,) = returns.sensors
+    if sensor is None:
         return edges
-    elevations = scan.sensor.elevations
-    azimuth, _ = relative_azimuth(scan.points)
-    index, side, gap = [], [], []
-    for first, following, way in ((edges.ring[-1], edges.ring[-1] + 1, UP), (edges.ring[0], edges.ring[0] - 1, DOWN)):
-        if not 0 <= following < len(elevations):
-            continue
-        row = np.flatnonzero(scan.ring == first)
-        index.append(row[np.argsort(azimuth[row])[len(row) // 2]])
-        side.append(way)
-        gap.append(abs(elevations[following] - elevations[first]))
-    added = np.array(index, dtype=np.int64)
+    elevations, middle = sensor.elevations, returns.rings.last - returns.rings.counts // 2
+    beyond = [(-1, edges.ring[-1] + 1, UP), (0, edges.ring[0] - 1, DOWN)]
+    beyond = [(of, following, way) for of, following, way in beyond if 0 <= following < len(elevations)]
+    row, ring = middle[[of for of, _, _ in beyond]], returns.ring[[of for of, _, _ in beyond]]
+    ends, nothing = [following for _, following, _ in beyond], np.zeros(len(beyond))
     return replace(
         edges,
-        points=np.vstack([edges.points, scan.points[added]]),
-        ring=np.concatenate([edges.ring, scan.ring[added]]),
-        side=np.concatenate([edges.side, np.array(side, dtype=np.int64)]),
-        azimuth=np.concatenate([edges.azimuth, azimuth[added]]),
-        index=np.concatenate([edges.index, added]),
-        revolutions=np.concatenate([edges.revolutions, np.ones(len(added), dtype=np.int64)]),
-        lower=np.concatenate([edges.lower, np.zeros(len(added))]),
-        upper=np.concatenate([edges.upper, gap]),
-        scatter=np.concatenate([edges.scatter, np.zeros(len(added))]),
-        shift=np.concatenate([edges.shift, np.zeros(len(added))]),
+        points=np.concatenate([edges.points, returns.points[row]]),
+        ring=np.concatenate([edges.ring, ring]),
+        side=np.concatenate([edges.side, np.array([way for _, _, way in beyond], dtype=np.int64)]),
+        azimuth=np.concatenate([edges.azimuth, returns.azimuth[row]]),
+        index=np.concatenate([edges.index, returns.row[row]]),
+        revolutions=np.concatenate([edges.revolutions, np.ones(len(beyond), dtype=np.int64)]),
+        lower=np.concatenate([edges.lower, nothing]),
+        upper=np.concatenate([edges.upper, np.abs(elevations[ends] - elevations[ring])]),
+        scatter=np.concatenate([edges.scatter, nothing]),
+        shift=np.concatenate([edges.shift, nothing]),
     )
 
 

@@ -15,6 +15,19 @@ class InputError(OptshapeError, ValueError):
     """Input that cannot be used: the message names the source, the value found and what was expected."""
 
 
+class AnotherSensorError(InputError):
+    """A cloud whose rings are not those of the sensor that it is said to be of.
+
+    Attributes:
+        name: the cloud's source.
+        found: what shows it, in words.
+    """
+
+    def __init__(self, message: str, name: str = "", found: str = "") -> None:
+        super().__init__(message)
+        self.name, self.found = name, found
+
+
 class EstimationError(OptshapeError):
     """No estimate can be made from an input that is well formed (too few returns, one visible edge, ...)."""
 

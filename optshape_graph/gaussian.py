@@ -2,9 +2,9 @@
 
 SciPy has the same, but importing `scipy.special` takes longer than estimating a pose, and most runs estimate few.
 
-With t = |x| / sqrt(2) the smaller tail is erfc(t) / 2. Below t = 1, erfc(t) is 1 - erf(t), and erf(t) is t times a
-ratio of polynomials in t^2; from t = 1 on, erfc(t) is exp(-t^2) times a ratio in t. The ratios are those of Cephes
-(Moshier, Methods and Programs for Mathematical Functions, 1989).
+With t = |x| / sqrt(2) the smaller tail is erfc(t) / 2 = exp(-t^2) S(t) / 2. The scaled tail S is smooth and falls like
+1 / t: for all t >= 0, (1 + t) S(t) is one ratio of polynomials in y = (t - 3) / (t + 3), from -1 to 1 (the variable of
+Shepherd and Laframboise, Math. Comp. 36, 1981; the coefficients are fitted to 2e-16 of S).
 """
 
 from __future__ import annotations
@@ -16,30 +16,16 @@ from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats
 
-_ERF = (
-    [9.60497373987051638749, 9.00260197203842689217e1, 2.23200534594684319226e3, 7.00332514112805075473e3,
-     5.55923013010394962768e4],
-    [1.0, 3.35617141647503099647e1, 5.21357949780152679795e2, 4.59432382970980127987e3, 2.26290000613890934246e4,
-     4.92673942608635921086e4],
+_SCALED_TAIL = (
+    [2.0967984490337273e-05, 0.00046158934781906846, 0.0027177091311766993, 0.01673502829007334, 0.051309535107367105,
+     0.1568048288724029, 0.3214472433183401, 0.5453248423610739, 0.8037742792108247, 0.658223448396614,
+     0.7160046047255596],
+    [7.126827717278987e-05, 0.0010393388326473947, 0.007475874675158582, 0.035061530751930664, 0.11963947760638417,
+     0.3128720694016449, 0.6473388845332646, 1.0508068649859599, 1.3848016150950482, 1.2418227140050702, 1.0],
 )  # fmt: skip
-_NEAR = (
-    [2.46196981473530512524e-10, 5.64189564831068821977e-1, 7.46321056442269912687, 4.86371970985681366614e1,
-     1.96520832956077098242e2, 5.26445194995477358631e2, 9.34528527171957607540e2, 1.02755188689515710272e3,
-     5.57535335369399327526e2],
-    [1.0, 1.32281951154744992508e1, 8.67072140885989742329e1, 3.54937778887819891062e2, 9.75708501743205489753e2,
-     1.82390916687909736289e3, 2.24633760818710981792e3, 1.65666309194161350182e3, 5.57535340817727675546e2],
-)  # fmt: skip
-_FAR = (
-    [5.64189583547755073984e-1, 1.27536670759978104416, 5.01905042251180477414, 6.16021097993053585195,
-     7.40974269950448939160, 2.97886665372100240670],
-    [1.0, 2.26052863220117276590, 9.39603524938001434673, 1.20489539808096656605e1, 1.70814450747565897222e1,
-     9.60896809063285878198, 3.36907645100081516050],
-)  # fmt: skip
-
-_FAR_FROM = 8.0
-"""From this t on, the ratio for far tails is used."""
 
 _LOG_SQRT_2PI = 0.5 * np.log(2 * np.pi)
+_PEAK = np.exp(-_LOG_SQRT_2PI)
 
 
 def ndtr(x: ArrayLike) -> Floats:
@@ -47,7 +33,7 @@ def ndtr(x: ArrayLike) -> Floats:
     x = np.asarray(x, float)
     t = np.abs(x) * np.sqrt(0.5)
     with np.errstate(under="ignore"):
-        tail = 0.5 * np.where(t < 1.0, 1.0 - _erf(np.minimum(t, 1.0)), np.exp(-t * t) * _scaled_tail(t))
+        tail = 0.5 * np.exp(-t * t) * _scaled_tail(t)
     return np.asarray(np.where(x < 0.0, tail, 1.0 - tail))
 
 
@@ -55,11 +41,9 @@ def log_ndtr(x: ArrayLike) -> Floats:
     """Return the logarithm (...) of `ndtr`, a number that does not underflow."""
     x = np.asarray(x, float)
     t = np.abs(x) * np.sqrt(0.5)
-    with np.errstate(under="ignore"):
-        scaled = _scaled_tail(t)
-        tail = 0.5 * np.where(t < 1.0, 1.0 - _erf(np.minimum(t, 1.0)), np.exp(-t * t) * scaled)
-        below = np.where(t < 1.0, np.log(np.maximum(tail, 0.01)), np.log(0.5 * scaled) - t * t)
-    return np.asarray(np.where(x < 0.0, below, np.log1p(-tail)))
+    with np.errstate(under="ignore", over="ignore", divide="ignore"):
+        scaled = 0.5 * _scaled_tail(t)
+        return np.asarray(np.where(x < 0.0, np.log(scaled) - t * t, np.log1p(-scaled * np.exp(-t * t))))
 
 
 def logsumexp(values: ArrayLike, axis: int | None = None) -> Floats:
@@ -72,24 +56,11 @@ def logsumexp(values: ArrayLike, axis: int | None = None) -> Floats:
     return np.asarray(np.squeeze(total, axis=axis))
 
 
-def _erf(t: Floats) -> Floats:
-    """Return erf(t) for t from 0 to 1."""
-    return np.asarray(t * _ratio(_ERF, t * t))
-
-
 def _scaled_tail(t: Floats) -> Floats:
-    """Return exp(t^2) erfc(t) for t >= 1; for smaller t some finite number."""
-    tail, far = _ratio(_NEAR, np.clip(t, 1.0, _FAR_FROM)), t > _FAR_FROM
-    if far.any():
-        reached = np.minimum(t[far], 1e30)
-        tail[far] = _ratio(_FAR, 1.0 / reached, flipped=True) / reached
-    return tail
-
-
-def _ratio(of: tuple[list[float], list[float]], x: Floats, flipped: bool = False) -> Floats:
-    """Return a ratio of polynomials in x; flipped: x times the ratio in 1 / x, for x whose powers would overflow."""
-    top, bottom = (part[::-1] if flipped else part for part in of)
-    return np.asarray(_polynomial(top, x) / _polynomial(bottom, x))
+    """Return S(t) = exp(t^2) erfc(t) for t >= 0."""
+    y = 1.0 - 6.0 / (t + 3.0)
+    top, bottom = _SCALED_TAIL
+    return np.asarray(_polynomial(top, y) / (_polynomial(bottom, y) * (1.0 + t)))
 
 
 def _polynomial(coefficients: list[float], x: Floats) -> Floats:
@@ -144,18 +115,21 @@ def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floa
     """
     sd = np.sqrt(variance)
     a, b = (lower - mean) / sd, (upper - mean) / sd
-    right = a > 0  # mirrored, so that the interval is never in the upper tail
-    a, b = np.where(right, -b, a), np.where(right, -a, b)
-    log_a, log_b = log_ndtr(np.stack([a, b]))
-    width = b - a
+    mirrored = a + b > 0  # so that b is nearer to the middle than a, and a is below it
+    a, b = np.where(mirrored, -b, a), np.where(mirrored, -a, b)
+    width, inside = b - a, b > 0
     with np.errstate(all="ignore"):
-        log_mass = log_b + np.log1p(-np.exp(log_a - log_b))
-        density_a = np.exp(-0.5 * a * a - _LOG_SQRT_2PI - log_mass)
-        density_b = np.exp(-0.5 * b * b - _LOG_SQRT_2PI - log_mass)
+        # Of the density at b, or where that is beyond the middle, of the density there.
+        at_b = np.where(inside, np.exp(-0.5 * b * b), 1.0)
+        at_a = at_b * np.exp(0.5 * width * (a + b))
+        below_a, beside_b = 0.5 * _scaled_tail(np.sqrt(0.5) * np.abs([a, b])) * [at_a, at_b]
+        mass = np.where(inside, 1.0 - beside_b, beside_b) - below_a
+        log_mass = np.log(mass) - np.where(inside, 0.0, 0.5 * b * b)
+        density_a, density_b = _PEAK * at_a / mass, _PEAK * at_b / mass
         m = density_a - density_b
         v = 1.0 + np.where(np.isfinite(a), a * density_a, 0.0) - b * density_b - m * m
     # Far out the density is exponential; in a narrow interval it is uniform, an exponential of a small rate.
-    far = (b < -300) | (width < 1e-3) | ~np.isfinite(log_mass) | ~(v > 0)
+    far = (b < -300) | (width < 1e-3) | ~(v > 0)
     m, v = np.clip(m, a, b), np.minimum(v, width**2 / 4)
     if far.any():
         start, end, span = a[far], b[far], width[far]
@@ -164,7 +138,7 @@ def truncated_moments(mean: Floats, variance: Floats, lower: Floats, upper: Floa
         m[far] = end - tail_mean
         flat_mass = np.log(np.maximum(span, 1e-300)) - 0.125 * (start + end) ** 2 - _LOG_SQRT_2PI
         log_mass[far] = np.where(np.isfinite(log_mass[far]) & (span >= 1e-3), log_mass[far], flat_mass)
-    return log_mass, mean + sd * np.where(right, -m, m), variance * v
+    return log_mass, mean + sd * np.where(mirrored, -m, m), variance * v
 
 
 def _exponential_moments(rate: Floats, width: Floats) -> tuple[Floats, Floats]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.errors import EstimationError
+from optshape_graph.groups import Groups
 from optshape_graph.se3 import transform
 
 
@@ -46,9 +47,7 @@ class ReturnsPlane(Value):
 
 
 def fit_plane(points: Floats, ring: Ints | None) -> ReturnsPlane:
-    """Fit a plane to a target's returns, with a weight for each ring that grows with its returns up to a limit.
-
-    A ring's range bias does not average away, so a ring never counts for more than a few of its returns.
+    """Fit a plane to one target's returns; see `fit_planes`.
 
     Args:
         points: (N, 3) metres, LiDAR frame.
@@ -57,25 +56,57 @@ def fit_plane(points: Floats, ring: Ints | None) -> ReturnsPlane:
     Raises:
         EstimationError: the returns do not span a plane, or the plane passes through the sensor.
     """
-    if len(points) < 3:
-        raise EstimationError(f"{len(points)} returns do not span a plane")
+    if len(points) == 0:
+        raise EstimationError("0 returns do not span a plane")
     weights: Floats = np.ones(len(points))
     if ring is not None:
         _, inverse, counts = np.unique(ring, return_inverse=True, return_counts=True)
         weights = np.asarray((1.0 / (1.0 + counts))[inverse])
-    weights /= weights.sum()
-    centre = weights @ points
-    centred = (points - centre) * np.sqrt(weights)[:, None]
-    _, spreads, directions = np.linalg.svd(centred, full_matrices=False)
-    if spreads[1] < 1e-3:
-        raise EstimationError(f"{len(points)} returns lie on a line (they spread {spreads[1] * 1e3:.2g} mm beside it)")
-    normal = directions[2]
-    distance = float(normal @ centre)
-    if abs(distance) < 1e-2 * float(np.linalg.norm(centre)):
-        raise EstimationError("the plane of the returns passes through the sensor: it is seen edge-on")
-    normal = normal * np.sign(distance)
-    turning = np.array([-centre[1], centre[0], 0.0])
-    left = turning - centre * (turning @ normal) / (normal @ centre)
-    left -= normal * (left @ normal)
-    left /= np.linalg.norm(left)
-    return ReturnsPlane(np.array([normal, left, np.cross(normal, left)]), centre)
+    (plane,) = fit_planes(points, weights, Groups.of([points]))
+    if isinstance(plane, EstimationError):
+        raise plane
+    return plane
+
+
+def fit_planes(points: Floats, weights: Floats, scans: Groups) -> list[ReturnsPlane | EstimationError]:
+    """Fit a plane to each target's returns, with a weight for each ring that grows with its returns up to a limit.
+
+    A ring's range bias does not average away, so a ring never counts for more than a few of its returns.
+
+    Args:
+        points: (N, 3) metres, LiDAR frame.
+        weights: (N,) 1 / (1 + n) of a ring with n returns; 1 without rings.
+        scans: the returns of each of B targets.
+
+    Returns:
+        For each target its plane; or the error, where the returns span none, or one that passes through the sensor.
+    """
+    weights = weights / scans.each(scans.sum(weights))
+    centres = scans.sum(weights[:, None] * points)
+    centred = (points - scans.each(centres)) * np.sqrt(weights)[:, None]
+    values, vectors = np.linalg.eigh(scans.products(centred, centred))
+    spread, normals = np.sqrt(np.maximum(values[:, 1], 0.0)), vectors[:, :, 0]
+    distance = (normals * centres).sum(axis=1)
+    edge_on = np.abs(distance) < 1e-2 * np.linalg.norm(centres, axis=1)
+    axes = _axes(normals * np.sign(distance)[:, None], centres)
+    found: list[ReturnsPlane | EstimationError] = []
+    for k, n in enumerate(scans.counts.tolist()):
+        if n < 3:
+            found.append(EstimationError(f"{n} returns do not span a plane"))
+        elif spread[k] < 1e-3:
+            found.append(EstimationError(f"{n} returns lie on a line (they spread {spread[k] * 1e3:.2g} mm beside it)"))
+        elif edge_on[k]:
+            found.append(EstimationError("the plane of the returns passes through the sensor: it is seen edge-on"))
+        else:
+            found.append(ReturnsPlane(axes[k], centres[k]))
+    return found
+
+
+def _axes(normals: Floats, centres: Floats) -> Floats:
+    """(B, 3, 3) axes of planes like a target's, seen from the sensor, by normals and centres (B, 3)."""
+    turning = np.column_stack([-centres[:, 1], centres[:, 0], np.zeros(len(centres))])
+    with np.errstate(all="ignore"):  # a plane that is seen edge-on has no such axes
+        left = turning - centres * ((turning * normals).sum(axis=1) / (normals * centres).sum(axis=1))[:, None]
+        left -= normals * (left * normals).sum(axis=1, keepdims=True)
+        left /= np.linalg.norm(left, axis=1, keepdims=True)
+    return np.stack([normals, left, np.cross(normals, left)], axis=1)

@@ -179,6 +179,16 @@ class Target(Value):
         """(S, 4, 4) of `symmetries`, the identity first; T_lidar_target S is the same placement with other names."""
         return frozen(transform(rotation([[angle, 0.0, 0.0] for angle in self.symmetries])))
 
+    @cached_property
+    def lookalike_transforms(self) -> Floats:
+        """(n, 4, 4) turns in the plane after which the target may be taken for itself: half a turn, and the best fits.
+
+        A fit brings each vertex as near as it gets to the one so many places further on.
+        """
+        vertices = self.polygon[:, 0] + 1j * self.polygon[:, 1]
+        fits = [np.angle(np.vdot(vertices, np.roll(vertices, -k))) for k in range(1, len(self))]
+        return frozen(transform(rotation([[angle, 0.0, 0.0] for angle in (np.pi, *fits)])))
+
     def nearest_symmetry(self, T_lidar_target: Floats, predicted: Floats) -> Ints:
         """Return the index (...) of the symmetry S for which T S is turned least from a predicted pose.
 

@@ -12,6 +12,7 @@ from optshape_graph.azimuth_grid import at_firing_times, level_rings, place_on_f
 from optshape_graph.edges import EdgePoints, extract_edge_points
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import estimate_pose
+from optshape_graph.ring_returns import RingReturns
 from optshape_graph.simulation import IDEAL, NoiseModel, pose_from_rpy, simulate_target
 from tests.pose.clouds import simulated
 
@@ -28,13 +29,13 @@ def cylinder(*azimuths: np.ndarray, distance: float = 8.0) -> Scan:
 
 
 def placed(scan: Scan, noise: float) -> EdgePoints:
-    return place_on_firings(extract_edge_points(scan), scan, noise)
+    return place_on_firings(extract_edge_points(scan), RingReturns.of([scan]), noise)
 
 
 def test_exact_azimuths_stay() -> None:
     scan = cylinder(STEP * np.arange(9), STEP * np.arange(4))
     edges = extract_edge_points(scan)
-    assert place_on_firings(edges, scan, 0.0) is edges
+    assert place_on_firings(edges, RingReturns.of([scan]), 0.0) is edges
 
 
 @pytest.mark.parametrize("jitter", [0.1, 0.25, 0.75])
@@ -104,10 +105,20 @@ def sensor_without_beam() -> SensorModel:
 
 
 def test_exact_angles_are_left_alone() -> None:
-    scan, _ = simulated(8.0, seed=1)
-    leveled, noise = level_rings(scan)
-    assert leveled is scan
+    returns = RingReturns.of([simulated(8.0, seed=1)[0]])
+    leveled, noise = level_rings(returns)
+    assert leveled is returns
     assert noise == 0.0
+
+
+def test_noise_of_one_scan_does_not_move_another() -> None:
+    noise = NoiseModel(azimuth_noise=np.radians(0.1), elevation_noise=np.radians(0.1))
+    exact, noisy = simulated(8.0, seed=1)[0], simulated(6.0, seed=2, noise=noise)[0]
+    both, found = level_rings(RingReturns.of([exact, noisy]))
+    alone, of_noisy = level_rings(RingReturns.of([noisy]))
+    assert found == pytest.approx([0.0, of_noisy[0]])
+    np.testing.assert_array_equal(both.of_scan(0).points, RingReturns.of([exact]).points)
+    np.testing.assert_allclose(both.of_scan(1).points, alone.points, atol=1e-12)
 
 
 @pytest.mark.parametrize("noise_deg", [0.1, 0.3])
@@ -115,8 +126,9 @@ def test_noise_is_found_and_elevations_are_put_right(noise_deg: float) -> None:
     noise = NoiseModel(range_noise=0.01, azimuth_noise=np.radians(noise_deg), elevation_noise=np.radians(noise_deg))
     scan, _ = simulated(6.0, seed=2, sensor=sensor_without_beam(), noise=noise)
     assert scan.sensor is not None
+    returns, (found,) = level_rings(RingReturns.of([scan]))
+    (leveled,), scan = returns.sorted_scans(), scan.select(returns.row)
     assert scan.ring is not None
-    leveled, found = level_rings(scan)
     # Several hundred returns: the standard deviation is known to a few per cent.
     assert found == pytest.approx(np.radians(noise_deg), rel=0.1)
     elevation = np.arcsin(leveled.points[:, 2] / np.linalg.norm(leveled.points, axis=1))
@@ -151,6 +163,8 @@ def test_firing_times_are_applied_once(applied: bool) -> None:
     turn = np.exp(0.0 if applied else 1j * phases[truth.ring] * plain.azimuth_step)
     flat = (truth.points[:, 0] + 1j * truth.points[:, 1]) * turn
     recorded = replace(truth, points=np.column_stack([flat.real, flat.imag, truth.points[:, 2]]), sensor=sensor)
-    np.testing.assert_allclose(at_firing_times(recorded).points, truth.points, atol=1e-9)
-    unknown = replace(recorded, sensor=plain)
+    np.testing.assert_allclose(
+        at_firing_times(RingReturns.of([recorded])).points, RingReturns.of([truth]).points, atol=1e-9
+    )
+    unknown = RingReturns.of([replace(recorded, sensor=plain)])
     assert at_firing_times(unknown) is unknown

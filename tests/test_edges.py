@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from optshape_graph import EstimationError, Scan
 from optshape_graph.edges import DOWN, LEFT, RIGHT, UP, extract_edge_points, with_top_and_bottom
 from optshape_graph.io import load_sensor
+from optshape_graph.ring_returns import RingReturns
 
 
 def wall(azimuths: np.ndarray, ring: int, distance: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
@@ -107,7 +108,7 @@ def test_top_and_bottom_are_bounded_by_the_next_rings() -> None:
 
     cloud = scan(ring(6, 5), ring(7, 9), ring(8, 3))
     edges = extract_edge_points(cloud)
-    more = with_top_and_bottom(edges, cloud)
+    more = with_top_and_bottom(edges, RingReturns.of([cloud]))
     assert len(more) == len(edges) + 2
     assert list(more.side[-2:]) == [UP, DOWN]
     assert list(more.ring[-2:]) == [8, 6]
@@ -117,10 +118,10 @@ def test_top_and_bottom_are_bounded_by_the_next_rings() -> None:
     assert more.sweep[-2, 2] > 0
     assert more.sweep[-1, 2] < 0
     top = scan(ring(14, 5), ring(15, 5))
-    assert list(with_top_and_bottom(extract_edge_points(top), top).side[8 - 4 :]) == [DOWN]
+    assert list(with_top_and_bottom(extract_edge_points(top), RingReturns.of([top])).side[8 - 4 :]) == [DOWN]
     unknown = scan(ring(6, 5), ring(7, 9), sensor=None)
     ends = extract_edge_points(unknown)
-    assert with_top_and_bottom(ends, unknown) is ends
+    assert with_top_and_bottom(ends, RingReturns.of([unknown])) is ends
 
 
 def test_ends_that_are_parted_from_their_ring_may_be_strays() -> None:

@@ -62,13 +62,14 @@ def test_factors_know_nothing_but_the_nouns() -> None:
 
 
 def arrows_of_pose() -> dict[str, set[str]]:
-    """Each module of `pose`, and the others there that it imports."""
-    pose = "optshape_graph.pose."
-    files = {path.stem: path for path in (PACKAGE / "pose").rglob("*.py") if path.stem != "__init__"}
-    return {
-        name: {found.removeprefix(pose) for found in imported(path) if found.startswith(pose)}
-        for name, path in files.items()
-    }
+    """Each room of `pose`, and the others there that it imports: a folder is one room, its `__init__` the face."""
+    pose, rooms = PACKAGE / "pose", {}
+    for path in pose.rglob("*.py"):
+        room = path.relative_to(pose).parts[0].removesuffix(".py")
+        below = {name.split(".")[2] for name in imported(path) if name.startswith("optshape_graph.pose.")}
+        rooms.setdefault(room, set()).update(below - {room})
+    rooms.pop("__init__")
+    return rooms
 
 
 def test_pose_has_few_arrows() -> None:

@@ -1,6 +1,6 @@
 """The shape of a target as LiDARs see it: all vertices free, its drawing no more than where the search starts.
 
-Each scan gives a posterior of the vertices, by expectation propagation over its edge points as in `pose.propagation`,
+Each scan gives a posterior of the vertices, by expectation propagation over its edge points as in `pose.ends`,
 with the vertices among the unknowns: the line of an edge through v and v' moves, at share s of its length, by
 n . ((1 - s) dv + s dv'). What scans share adds up: the vertices, and how far across the edges the beam's width lets
 them seem to lie, which no scan can tell from the size.
@@ -23,9 +23,9 @@ from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors.plane_returns import plane_measurement, returns_on_plane
 from optshape_graph.plane import fit_plane
 from optshape_graph.pose import PoseEstimate, estimate_poses
-from optshape_graph.pose.ends import Problem
+from optshape_graph.pose.ends import Problem, posterior_step
 from optshape_graph.pose.options import PoseOptions
-from optshape_graph.pose.propagation import posterior_step
+from optshape_graph.ring_returns import RingReturns
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import apply, vec, vec_derivative
 from optshape_graph.target import Target
@@ -123,7 +123,7 @@ def measure_shape(returns: Sequence[Scan], target: Target) -> MeasuredShape:
     Raises:
         EstimationError: no scans, or one that determines no pose, or no shape, at all.
     """
-    scans = [scan for scan in returns if scan.ring is not None and level_rings(scan)[1] == 0.0]
+    scans = [scan for scan in returns if len(scan) and scan.ring is not None and not _noisy(scan)]
     if not scans:
         raise EstimationError(
             f"no scan to measure target '{target.name}' in; expected at least one, with rings of exact angles"
@@ -233,10 +233,15 @@ def _free(scan: Scan, target: Target, T: Floats) -> tuple[Floats, Floats]:
     return x, covariance[6:, 6:]
 
 
+def _noisy(scan: Scan) -> bool:
+    """Whether its angles are."""
+    return bool(level_rings(RingReturns.of([scan]))[1].any())
+
+
 def _problem(scan: Scan, target: Target) -> Problem:
     edges, plane = extract_edge_points(scan), fit_plane(scan.points, scan.ring)
     if edges.n_rings == edges.ring[-1] - edges.ring[0] + 1:
-        edges = with_top_and_bottom(edges, scan)
+        edges = with_top_and_bottom(edges, RingReturns.of([scan]))
     on_plane = plane_measurement(returns_on_plane(scan, plane.axes[0], plane.distance)).marginal(1.0)
     return Problem(edges, target, on_plane.quadratic(), Beam.of(scan.sensor), PoseOptions())
 

@@ -75,7 +75,7 @@ def command(
     from optshape_graph.cli.inputs import scan_paths, sensor_of
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.cli.report import Table, run_over
-    from optshape_graph.detection.files import DetectFile
+    from optshape_graph.detection.files import DetectFiles
     from optshape_graph.io import load_target
 
     paths = scan_paths(scans)
@@ -84,7 +84,7 @@ def command(
     outputs.file("--report", html)
     outputs.folder("--plot", plots)
     draw = Draw(plots, names_of(paths), figures) if plots else None
-    detect = DetectFile(tuple(map(load_target, targets)), sensor_of(sensor, paths, columns), columns, draw)
+    detect = DetectFiles(tuple(map(load_target, targets)), sensor_of(sensor, paths, columns), columns, draw)
     table = Table(
         "T_lidar_target",
         ["scan", "target", "status", "x [m]", "y [m]", "z [m]", "score", "returns", "fit", "margin"],

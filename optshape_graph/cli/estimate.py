@@ -73,7 +73,7 @@ def command(
     from optshape_graph.cli.outputs import Outputs
     from optshape_graph.cli.report import Table, run_over
     from optshape_graph.io import load_target
-    from optshape_graph.pose.files import EstimateFile
+    from optshape_graph.pose.files import EstimateFiles
 
     paths = scan_paths(scans)
     outputs = Outputs([*scans, *paths, target, sensor], force=force)
@@ -82,7 +82,7 @@ def command(
     outputs.folder("--plot", plots)
     template, model = load_target(target), sensor_of(sensor, paths, columns)
     draw = Draw(plots, names_of(paths), figures) if plots else None
-    estimate = EstimateFile(template, model, method, backend, columns, draw)  # type: ignore[arg-type]  # click checked them
+    estimate = EstimateFiles(template, model, method, backend, columns, draw)  # type: ignore[arg-type]  # click checked them
     table = Table(
         f"{template.name}: T_lidar_target",
         ["scan", "status", "x [m]", "y [m]", "z [m]", "± mm", "± deg", "cert.", "margin", "fit", "returns"],

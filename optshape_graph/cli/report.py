@@ -55,7 +55,7 @@ def run_over(
     """Run a task over scans, print the results, and return the exit status.
 
     Args:
-        task: of a path, with `failed` and `describe`: see `runs.files.run_files`.
+        task: of paths, with `failed`, `describe` and `AT_ONCE`: see `runs.files.run_files`.
         paths: of the scans.
         table: what is printed.
         form: of the document.
@@ -70,7 +70,7 @@ def run_over(
     with (
         progress_bar(f"{form.removesuffix('e')}ing") as progress,
         run_files(task, paths, task.failed, form=form, describe=what, output=output, pool=pool,
-                  progress=progress) as results,
+                  progress=progress, at_once=task.AT_ONCE) as results,
     ):  # fmt: skip
         return report(results, table, output, html, form)
 

@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.detection.patches import Patch
-from optshape_graph.detection.segments import OrderedScan, Runs, find_borders, find_runs, ring_ends
+from optshape_graph.detection.segments import OrderedScan, Runs, find_borders, find_runs
 from optshape_graph.errors import EstimationError
 from optshape_graph.plane import ReturnsPlane, fit_plane
 from optshape_graph.target import Target
@@ -22,6 +22,7 @@ class Candidate(Value):
 
     Attributes:
         rows: (N,) of the ordered scan.
+        ends: (2 M,) those at which rings begin, then those at which they end.
         plane: through them.
         area: square metres that their beams cover, gaps of lost returns included.
         centroid: (2,) of that area, along the plane's axes, metres.
@@ -33,6 +34,7 @@ class Candidate(Value):
     """
 
     rows: Ints
+    ends: Ints
     plane: ReturnsPlane
     area: float
     centroid: Floats
@@ -71,17 +73,18 @@ def grow(scan: OrderedScan, patch: Patch, reach: float) -> Candidate:
     runs = find_runs(scan, member)
     plane = fit_plane(scan.points[member], scan.ring[member])
     area, centroid, spread = _covered_area(scan, runs, plane)
-    ends = find_borders(scan, member)
+    borders = find_borders(scan, runs.ends)
     return Candidate(
         rows=runs.rows,
+        ends=runs.ends,
         plane=plane,
         area=area,
         centroid=centroid,
         spread=spread,
-        n_rings=len(np.unique(runs.ring)),
+        n_rings=len(runs.ends) // 2,
         cut=bool(runs.ring[0] == 0 or runs.ring[-1] == len(scan.elevations) - 1),
-        hidden=bool(ends.hidden.any()),
-        stepped=float(ends.open.mean()),
+        hidden=bool(borders.hidden.any()),
+        stepped=float(borders.open.mean()),
     )
 
 
@@ -124,7 +127,7 @@ def without_limbs(scan: OrderedScan, rows: Ints, plane: ReturnsPlane) -> Bools:
     points of it above, or below. The two points are a limb's thickness apart, so that they are not on the same limb;
     the median of several such lines counts, since some may touch a limb.
     """
-    ends = ring_ends(scan, rows)
+    ends = find_runs(scan, rows).ends
     n_rings = len(ends) // 2
     at = (scan.points[ends] - plane.centre) @ plane.axes[1:].T
     height = at[:, 1].reshape(2, n_rings)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from optshape_graph.detection.detect import detect_targets
 from optshape_graph.detection.results import Detections
@@ -19,8 +19,8 @@ from optshape_graph.target import Target
 
 
 @dataclass(frozen=True)
-class DetectFile:
-    """Reads a full scan and finds the targets in it: a function of the path, for `run_files`.
+class DetectFiles:
+    """Reads full scans and finds the targets in them: a function of the paths, for `run_files`.
 
     Attributes:
         targets: to look for.
@@ -34,7 +34,13 @@ class DetectFile:
     columns: tuple[str, ...] | None = None
     then: Callable[[str, Scan, Detections], Sequence[Path]] | None = None
 
-    def __call__(self, path: str) -> Outcome:
+    AT_ONCE: ClassVar[int] = 1
+    """The candidates of one scan are many already."""
+
+    def __call__(self, paths: Sequence[str]) -> list[Outcome]:
+        return [self._outcome(path) for path in paths]
+
+    def _outcome(self, path: str) -> Outcome:
         try:
             scan = read_scan(path, self.sensor, self.columns)
             detections = detect_targets(scan, self.targets)

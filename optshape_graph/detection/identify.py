@@ -10,9 +10,10 @@ import numpy as np
 from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.detection.candidates import Candidate, Size
 from optshape_graph.detection.judge import edge_margin, judge, objections, outline_error, returns_of, undoubted
-from optshape_graph.detection.outline import Boundary, OutlineFit, first_look, look_again
+from optshape_graph.detection.options import DetectionOptions
+from optshape_graph.detection.outline import Boundary, OutlineFit, first_looks, look_again, rectangle_log_odds
 from optshape_graph.detection.results import Detection, Evidence, Rejection
-from optshape_graph.detection.segments import OrderedScan, find_borders, ring_ends
+from optshape_graph.detection.segments import Borders, OrderedScan, find_borders, find_runs
 from optshape_graph.errors import EstimationError
 from optshape_graph.pose import PoseEstimate, estimate_poses
 from optshape_graph.scan import Scan
@@ -21,9 +22,10 @@ from optshape_graph.target import Target
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Fit(Value):
-    """A target fitted to a candidate: the rows of the ordered scan that count as its returns, pose, evidence."""
+    """A target fitted to a candidate: rows of the ordered scan that are its returns, their ends, pose, evidence."""
 
     rows: Ints
+    ends: Ints
     estimate: PoseEstimate
     evidence: Evidence
 
@@ -113,27 +115,35 @@ def rejection(candidate: Candidate, reason: str, passed: int, target: str = "") 
 
 
 def _first_looks(
-    ordered: OrderedScan, candidate: Candidate, targets: Sequence[Target], sizes: Sequence[Size]
+    ordered: OrderedScan, candidates: Sequence[Candidate], targets: Sequence[Target], sizes: Sequence[Size]
 ) -> list[OutlineFit | _Misfit]:
-    """Lay the outline of each target over a candidate, and reject targets that cannot be it."""
-    options, looks = ordered.options, list[OutlineFit | _Misfit]()
-    boundary = Boundary.of(ordered, candidate.rows, candidate.plane)
-    for target, size in zip(targets, sizes, strict=True):
-        problem = size.objection(candidate, options)
-        looks.append(_Misfit(problem, 0) if problem else first_look(boundary, candidate.centroid, target))
-    best = max((look.log_odds for look in looks if isinstance(look, OutlineFit)), default=0.0)
-    for k, look in enumerate(looks):
-        if isinstance(look, _Misfit):
-            continue
-        if look.edged < options.first_look:
-            reason = f"at a first look only {look.edged:.0%} of the ends of its rings lie on its outline"
-            looks[k] = _Misfit(reason, PASSED_AT_FIRST)
-        elif look.log_odds < best - options.first_look_odds:
-            reason = (
-                f"at a first look another of the targets fits better (log odds {best:.0f} against {look.log_odds:.0f})"
-            )
-            looks[k] = _Misfit(reason, PASSED_AT_FIRST)
+    """Lay the outline of each target over each candidate in turn, and reject those that cannot be it."""
+    options = ordered.options
+    problems = [[size.objection(candidate, options) for size in sizes] for candidate in candidates]
+    laid = [
+        (Boundary.of(ordered, candidate.ends, candidate.plane), candidate.centroid, target)
+        for candidate, of_size in zip(candidates, problems, strict=True)
+        for target, problem in zip(targets, of_size, strict=True)
+        if not problem
+    ]
+    fits = iter(first_looks([one[0] for one in laid], [one[1] for one in laid], [one[2] for one in laid]))
+    looks: list[OutlineFit | _Misfit] = []
+    for of_size in problems:
+        own = [_Misfit(problem, 0) if problem else next(fits) for problem in of_size]
+        best = max((look.log_odds for look in own if isinstance(look, OutlineFit)), default=0.0)
+        looks += [look if isinstance(look, _Misfit) else _worth_a_pose(look, best, options) for look in own]
     return looks
+
+
+def _worth_a_pose(look: OutlineFit, best: float, options: DetectionOptions) -> OutlineFit | _Misfit:
+    """Turn a first look down that fits too few ring ends, or far worse than another target's, of log odds `best`."""
+    if look.edged < options.first_look:
+        reason = f"at a first look only {look.edged:.0%} of the ends of its rings lie on its outline"
+    elif look.log_odds < best - options.first_look_odds:
+        reason = f"at a first look another of the targets fits better (log odds {best:.0f} against {look.log_odds:.0f})"
+    else:
+        return look
+    return _Misfit(reason, PASSED_AT_FIRST)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,18 +153,22 @@ class _Suspect(Value):
     Attributes:
         candidate: the surface.
         target: the target.
+        T_lidar_target: (4, 4) of the outline by which its returns were chosen.
         rows: (N,) of the ordered scan, taken for the target's returns.
+        ends: (2 M,) of these, at which rings begin, then those at which they end.
     """
 
     candidate: Candidate
     target: Target
+    T_lidar_target: Floats
     rows: Ints
+    ends: Ints
 
 
 def fit_targets(
     scan: Scan, ordered: OrderedScan, candidates: Sequence[Candidate], targets: Sequence[Target], sizes: Sequence[Size]
 ) -> list[list[tuple[Target, _Fit | _Misfit]]]:
-    """Fit each target to each candidate that it may be, all poses at once.
+    """Fit each target to each candidate that it may be, all of them at once.
 
     Args:
         scan: what they were found in.
@@ -166,30 +180,56 @@ def fit_targets(
     Returns:
         For each candidate the targets, and how they fit or why not.
     """
-    asked = [
-        (target, look if isinstance(look, _Misfit) else _suspect(ordered, candidate, look, target))
-        for candidate in candidates
-        for target, look in zip(targets, _first_looks(ordered, candidate, targets, sizes), strict=True)
+    looks = _first_looks(ordered, candidates, targets, sizes)
+    asked = [(candidate, target) for candidate in candidates for target in targets]
+    laid = [(*pair, look) for pair, look in zip(asked, looks, strict=True) if isinstance(look, OutlineFit)]
+    suspects = iter(_suspects(ordered, laid))
+    chosen = [look if isinstance(look, _Misfit) else next(suspects) for look in looks]
+    posed = iter(_posed(scan, ordered, [one for one in chosen if isinstance(one, _Suspect)]))
+    fits = [
+        (target, next(posed) if isinstance(one, _Suspect) else one)
+        for (_, target), one in zip(asked, chosen, strict=True)
     ]
-    posed = iter(_posed(scan, ordered, [one for _, one in asked if isinstance(one, _Suspect)]))
-    fits = [(target, next(posed) if isinstance(one, _Suspect) else one) for target, one in asked]
     return [fits[k : k + len(targets)] for k in range(0, len(fits), len(targets))]
 
 
-def _suspect(ordered: OrderedScan, candidate: Candidate, look: OutlineFit, target: Target) -> _Suspect | _Misfit:
-    """Choose a target's returns by its outline, until their rings end where they did."""
-    rows = _returns_at(ordered, target, look)
+def _suspects(ordered: OrderedScan, laid: Sequence[tuple[Candidate, Target, OutlineFit]]) -> list[_Suspect | _Misfit]:
+    """Choose targets' returns by their outlines, until their rings end where they did.
+
+    Args:
+        ordered: the ordered scan.
+        laid: targets over candidates, and where at a first look.
+    """
+    found = [_suspect(ordered, *of_one) for of_one in laid]
+    unsettled = [k for k, suspect in enumerate(found) if len(suspect.rows)]
     for _ in range(ordered.options.rounds):
-        if len(rows) == 0:
-            break
-        ends, hidden = ring_ends(ordered, rows), find_borders(ordered, rows).hidden
-        look = look_again(Boundary.of(ordered, rows, candidate.plane, hidden), target, look.T_lidar_target)
-        rows = _returns_at(ordered, target, look)
-        if np.array_equal(ring_ends(ordered, rows), ends):
-            break
-    if len(rows) == 0:
-        return _Misfit("none of its returns lies inside the outline laid over it", PASSED_AT_FIRST + 1)
-    return _Suspect(candidate, target, rows)
+        some = [found[k] for k in unsettled]
+        looks = look_again(
+            [_boundary(ordered, suspect, find_borders(ordered, suspect.ends)) for suspect in some],
+            [suspect.target for suspect in some],
+            [suspect.T_lidar_target for suspect in some],
+        )
+        again = [_suspect(ordered, one.candidate, one.target, look) for one, look in zip(some, looks, strict=True)]
+        for k, now in zip(unsettled, again, strict=True):
+            found[k] = now
+        unsettled = [
+            k
+            for k, before, now in zip(unsettled, some, again, strict=True)
+            if len(now.rows) and not np.array_equal(before.ends, now.ends)
+        ]
+    none = _Misfit("none of its returns lies inside the outline laid over it", PASSED_AT_FIRST + 1)
+    return [suspect if len(suspect.rows) else none for suspect in found]
+
+
+def _suspect(ordered: OrderedScan, candidate: Candidate, target: Target, look: OutlineFit) -> _Suspect:
+    """Choose a target's returns: those inside an outline laid over it, and outside it as far as the target blooms."""
+    margin = edge_margin(ordered, target, look.T_lidar_target, _LOOK_SD)
+    rows = returns_of(ordered, target, look.T_lidar_target, margin)
+    return _Suspect(candidate, target, look.T_lidar_target, rows, find_runs(ordered, rows).ends)
+
+
+def _boundary(ordered: OrderedScan, suspect: _Suspect, borders: Borders) -> Boundary:
+    return Boundary.of(ordered, suspect.ends, suspect.candidate.plane, borders.hidden)
 
 
 def _posed(scan: Scan, ordered: OrderedScan, suspects: Sequence[_Suspect]) -> list[_Fit | _Misfit]:
@@ -197,7 +237,8 @@ def _posed(scan: Scan, ordered: OrderedScan, suspects: Sequence[_Suspect]) -> li
 
     Near a rim that blooms, what a pose that fails takes for the target's own may suit it better: those are tried again.
     """
-    found: dict[int, _Fit | _Misfit] = {}
+    found: dict[int, _Misfit] = {}
+    posed: dict[int, tuple[_Suspect, PoseEstimate, float]] = {}
     left = dict(enumerate(suspects))
     for number in reversed(range(max(ordered.options.rounds, 1))):
         returns = [scan.select(ordered.index[suspect.rows]) for suspect in left.values()]
@@ -213,37 +254,40 @@ def _posed(scan: Scan, ordered: OrderedScan, suspects: Sequence[_Suspect]) -> li
             if estimate.status == "failed" and not estimate.unobservable:
                 rows = returns_of(ordered, suspect.target, estimate.T_lidar_target, margin)
                 if number and len(rows) and not np.array_equal(rows, suspect.rows):
-                    again[k] = replace(suspect, rows=rows)
+                    again[k] = replace(suspect, rows=rows, ends=find_runs(ordered, rows).ends)
                 found[k] = _Misfit(estimate.reason, PASSED_AT_FIRST + 1)
             else:
-                found[k] = _judged(ordered, suspect, estimate, margin)
+                posed[k] = suspect, estimate, margin
         left = again
         if not left:
             break
-    return [found[k] for k in range(len(suspects))]
+    judged: dict[int, _Fit | _Misfit] = dict(zip(posed, _judged(ordered, list(posed.values())), strict=True))
+    return [(found | judged)[k] for k in range(len(suspects))]
 
 
-def _judged(ordered: OrderedScan, suspect: _Suspect, estimate: PoseEstimate, margin: float) -> _Fit | _Misfit:
-    """Ask all rays about a pose."""
-    evidence = judge(ordered, suspect.candidate, suspect.rows, estimate, margin)
-    against = objections(evidence, ordered.options.least_evidence)
-    if against:
-        return _Misfit("; ".join(against), PASSED_AT_FIRST + 2 + len(fields(evidence)) - len(against))
-    return _Fit(suspect.rows, estimate, evidence)
-
-
-def _returns_at(ordered: OrderedScan, target: Target, look: OutlineFit) -> Ints:
-    """Return the rows (N,) of returns inside an outline, and outside it as far as the target blooms."""
-    margin = edge_margin(ordered, target, look.T_lidar_target, _LOOK_SD)
-    return returns_of(ordered, target, look.T_lidar_target, margin)
+def _judged(ordered: OrderedScan, posed: Sequence[tuple[_Suspect, PoseEstimate, float]]) -> list[_Fit | _Misfit]:
+    """Ask all rays about poses, each with how far outside its outline a return may lie, metres."""
+    borders = [find_borders(ordered, suspect.ends) for suspect, _, _ in posed]
+    boundaries = [_boundary(ordered, suspect, own) for (suspect, _, _), own in zip(posed, borders, strict=True)]
+    targets = [suspect.target for suspect, _, _ in posed]
+    looks = look_again(boundaries, targets, [estimate.T_lidar_target for _, estimate, _ in posed])
+    rectangles = rectangle_log_odds(boundaries, np.array([target.circumradius for target in targets]))
+    fits: list[_Fit | _Misfit] = []
+    for (suspect, estimate, margin), own, look, rectangle in zip(posed, borders, looks, rectangles, strict=True):
+        evidence = judge(ordered, suspect.candidate, own, look, float(rectangle), estimate, margin)
+        against = objections(evidence, ordered.options.least_evidence)
+        if against:
+            fits.append(_Misfit("; ".join(against), PASSED_AT_FIRST + 2 + len(fields(evidence)) - len(against)))
+        else:
+            fits.append(_Fit(suspect.rows, suspect.ends, estimate, evidence))
+    return fits
 
 
 def _likelihoods(scan: Scan, ordered: OrderedScan, fits: Sequence[_Fit]) -> Floats:
     """Return the log likelihood of each fit, from the returns that all fits share."""
     if len(fits) == 1:
         return np.array([fits[0].estimate.log_likelihood])
-    ends = [ring_ends(ordered, fit.rows) for fit in fits]
-    if all(np.array_equal(one, ends[0]) for one in ends):
+    if all(np.array_equal(fit.ends, fits[0].ends) for fit in fits):
         return np.array([fit.estimate.log_likelihood for fit in fits])
     common = fits[0].rows
     for fit in fits[1:]:

@@ -9,10 +9,10 @@ from scipy.special import expit
 
 from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.detection.candidates import Candidate
-from optshape_graph.detection.outline import Boundary, look_again, rectangle_log_odds
+from optshape_graph.detection.outline import OutlineFit
 from optshape_graph.detection.rays import Rays, fired_near, returned_near
 from optshape_graph.detection.results import Evidence
-from optshape_graph.detection.segments import OrderedScan, find_borders
+from optshape_graph.detection.segments import Borders, OrderedScan
 from optshape_graph.pose import PoseEstimate
 from optshape_graph.se3 import apply
 from optshape_graph.target import Target
@@ -85,13 +85,23 @@ def undoubted(scan: OrderedScan, estimate: PoseEstimate, rows: Ints) -> Bools:
     return np.asarray(estimate.target.contains(yz, -inset) & (np.abs(behind) <= _CENTRAL * estimate.plane_rms))
 
 
-def judge(scan: OrderedScan, candidate: Candidate, own: Ints, estimate: PoseEstimate, margin: float) -> Evidence:
+def judge(
+    scan: OrderedScan,
+    candidate: Candidate,
+    borders: Borders,
+    look: OutlineFit,
+    rectangle: float,
+    estimate: PoseEstimate,
+    margin: float,
+) -> Evidence:
     """Return the evidence for a target at a pose.
 
     Args:
         scan: the ordered scan.
         candidate: the surface.
-        own: (M,) rows of the ordered scan, the target's returns.
+        borders: the ring ends of the target's returns.
+        look: its outline laid over them.
+        rectangle: log odds of a rectangle laid over them; see `rectangle_log_odds`.
         estimate: the pose.
         margin: distance from the outline, metres, within which a ray may be on either side.
     """
@@ -113,10 +123,6 @@ def judge(scan: OrderedScan, candidate: Candidate, own: Ints, estimate: PoseEsti
     fired_inside, fired_beside, _ = regions(fired)
     expected = max(float(fired_inside.sum() - (inside & before).sum()), 1.0)
     n_on = float((inside & on).sum())
-    borders = find_borders(scan, own)
-    boundary = Boundary.of(scan, own, candidate.plane, borders.hidden)
-    look = look_again(boundary, target, estimate.T_lidar_target)
-    rectangle = rectangle_log_odds(boundary, target.circumradius)
     against_rectangle = look.log_odds - rectangle + (_ALIKE if _is_rectangle(target) else 0.0)
     apart, seen = _beyond_sides(scan, estimate, rays, fired, band)
     return Evidence(

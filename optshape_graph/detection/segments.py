@@ -74,6 +74,11 @@ class OrderedScan(Value):
         return np.repeat(np.arange(len(self.first)), self.last - self.first + 1)
 
     @cached_property
+    def long_segments(self) -> Ints:
+        """Numbers (L,) of the segments whose returns are enough to have a direction."""
+        return np.flatnonzero(self.last - self.first + 1 >= self.options.fewest_returns)
+
+    @cached_property
     def ring_heights(self) -> Floats:
         """(R,) range of elevations that each ring covers, rad: half way to the next ring on either side."""
         return np.asarray(np.gradient(self.elevations))
@@ -147,7 +152,7 @@ def order_scan(scan: Scan, options: DetectionOptions) -> OrderedScan:
     by_ring = np.argsort(scan.ring.astype(np.uint16), kind="stable")
     order = by_ring[np.argsort(_position(scan.ring, azimuth)[by_ring], kind="stable")]
     points, ring, azimuth = scan.points[order], scan.ring[order], azimuth[order]
-    ranges = np.sqrt((points * points).sum(axis=1))
+    ranges = np.sqrt(np.einsum("ni,ni->n", points, points))
     resolution = _resolution(scan, azimuth, ring)
     starts = _starts(ring, azimuth, ranges, resolution, options)
     elevations = scan.sensor.elevations if scan.sensor is not None else _elevations(points, ranges, ring)
@@ -211,10 +216,10 @@ class Runs(Value):
 
     Attributes:
         rows: (N,) of the ordered scan, by ring and azimuth.
-        azimuth: (N,) rad, relative to their middle, continuous across the seam.
+        azimuth: (N,) rad, relative to one of them, continuous across the seam.
         first: (K,) first return of each run, in `rows`.
         last: (K,) last return of each run.
-        ring: (K,) of each run.
+        ring: (K,) of each run, ascending.
     """
 
     rows: Ints
@@ -223,12 +228,18 @@ class Runs(Value):
     last: Ints
     ring: Ints
 
+    @cached_property
+    def ends(self) -> Ints:
+        """(2 M,) those of `rows` at which rings begin, ring by ring, then those at which they end."""
+        first = np.flatnonzero(np.diff(self.ring, prepend=-1))
+        last = np.append(first[1:], len(self.ring))[: len(first)] - 1
+        return np.asarray(self.rows[np.concatenate([self.first[first], self.last[last]])])
+
 
 def find_runs(scan: OrderedScan, rows: Ints) -> Runs:
     """Cut returns, `rows` (N,) of one side of the sensor, into runs along their rings."""
-    direction = np.exp(1j * scan.azimuth[rows])
-    azimuth = np.angle(direction * np.conj(direction.sum()))
-    ring = scan.ring[rows]
+    azimuth, ring = scan.azimuth[rows], scan.ring[rows]
+    azimuth = (azimuth - azimuth[:1] + np.pi) % (2 * np.pi) - np.pi
     turned, onward = np.diff(azimuth), np.diff(ring)
     if ((onward < 0) | ((onward == 0) & (turned < 0))).any():  # mostly they are in order already
         order = np.lexsort((azimuth, ring))
@@ -238,14 +249,6 @@ def find_runs(scan: OrderedScan, rows: Ints) -> Runs:
     first = np.flatnonzero(starts)
     last = np.append(first[1:], len(rows)) - 1 if len(rows) else first
     return Runs(rows, azimuth, first, last, ring[first])
-
-
-def ring_ends(scan: OrderedScan, rows: Ints) -> Ints:
-    """Return those of the `rows` (N,) at which rings begin, ring by ring, then those at which they end: (2 M,)."""
-    runs = find_runs(scan, rows)
-    first = np.flatnonzero(np.diff(scan.ring[runs.rows], prepend=-1))
-    last = np.append(first[1:], len(runs.rows)) - 1
-    return np.asarray(runs.rows[np.concatenate([first, last])])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -261,18 +264,16 @@ class Borders(Value):
     hidden: Bools
 
 
-def find_borders(scan: OrderedScan, rows: Ints) -> Borders:
+def find_borders(scan: OrderedScan, ends: Ints) -> Borders:
     """Return the kinds of a surface's ring ends, by the returns beyond them.
 
     A few returns beyond an end, and segments as short, are skipped, since part of their light came from behind.
 
     Args:
         scan: the ordered scan.
-        rows: (N,) of it, the returns of the surface.
+        ends: (2 M,) rows of it, of the surface; see `Runs.ends`.
     """
-    fewest, segment = scan.options.fewest_returns, scan.segment
-    long = np.flatnonzero(scan.last - scan.first + 1 >= fewest)
-    ends = ring_ends(scan, rows)
+    fewest, segment, long = scan.options.fewest_returns, scan.segment, scan.long_segments
     side = np.repeat([-1, 1], len(ends) // 2)
     further = (ends + fewest * side).clip(0, len(scan) - 1)
     goes_on = (segment[further] == segment[ends]) & (further != ends)

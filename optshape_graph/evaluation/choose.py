@@ -6,7 +6,7 @@ simulated and estimated, since a bound does not tell how many scans are ambiguou
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -17,7 +17,7 @@ from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.design.pose_search import expected_covariance, horizon_gap
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.evaluation.metrics import pose_error
-from optshape_graph.pose import estimate_pose
+from optshape_graph.pose import PoseEstimate, estimate_poses
 from optshape_graph.se3 import rotation, transform
 from optshape_graph.sensor import SensorModel
 from optshape_graph.simulation import NoiseModel, simulate_target
@@ -34,6 +34,9 @@ SHARE = 0.95
 
 SCANS = 100
 """Scans that are simulated for each size."""
+
+AT_ONCE = 20
+"""Scans whose poses are estimated at once; a size that does not do is given up before all are."""
 
 HUNG_ROLL = np.radians(3.0)
 HUNG_YAW = np.radians(20.0)
@@ -318,12 +321,18 @@ def _simulated_trial(trial: Trial, wish: Wish, seed: int, report: Callable[[int]
     poses = _placements(Hanging(trial.height, 0.0), wish, wish.range, SCANS, np.random.default_rng([seed, 1]))
     statuses, e_r, e_t, missed = [], [], [], 0
     allowed = int(np.floor((1 - SHARE) * SCANS + 1e-9))
-    for number, T in enumerate(poses):
-        report(number)
-        scan = simulate_target(trial.target, wish.sensor, T, noise=noise, rng=np.random.default_rng([seed, 2, number]))
-        try:
-            estimate = estimate_pose(scan, trial.target)
-        except EstimationError:
+
+    def estimates() -> Iterator[PoseEstimate | EstimationError]:
+        for first in range(0, SCANS, AT_ONCE):
+            scans = []
+            for number, T in enumerate(poses[first : first + AT_ONCE], start=first):
+                report(number)
+                rng = np.random.default_rng([seed, 2, number])
+                scans.append(simulate_target(trial.target, wish.sensor, T, noise=noise, rng=rng))
+            yield from estimate_poses(scans, trial.target)
+
+    for number, (T, estimate) in enumerate(zip(poses, estimates(), strict=False)):
+        if isinstance(estimate, EstimationError):
             statuses.append("failed")
             e_r.append(np.nan)
             e_t.append(np.nan)

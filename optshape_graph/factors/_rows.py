@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optshape_graph._arrays import Floats, Ints
+from optshape_graph._arrays import Floats
 from optshape_graph.errors import InputError
 
 if TYPE_CHECKING:
@@ -43,55 +43,21 @@ def checked_keys(*keys: int) -> None:
 
 
 def triangular(stack: Floats) -> Floats:
-    """Return the (n, n) upper triangular factor of rows (m, n): the same quadratic form, whatever m is.
+    """Return the (..., n, n) upper triangular factors of rows (..., m, n): the same quadratic form, whatever m is.
 
-    Tall stacks are reduced in blocks that stay in cache (tall-skinny QR; Demmel et al., SIAM J. Sci. Comput. 2012),
+    A tall stack is reduced in blocks that stay in cache (tall-skinny QR; Demmel et al., SIAM J. Sci. Comput. 2012),
     which is faster than one factorisation and keeps a threaded BLAS from being started for thin panels.
     """
-    n = stack.shape[1]
+    n = stack.shape[-1]
     block = 8 * n
-    while len(stack) > 2 * block:
+    while stack.ndim == 2 and len(stack) > 2 * block:
         whole = len(stack) // block * block
         blocks = factored(stack[:whole].reshape(-1, block, n))
         stack = np.vstack([blocks.reshape(-1, n), stack[whole:]])
-    R = factored(stack) if len(stack) else stack
-    return R if len(R) == n else np.vstack([R, np.zeros((n - len(R), n))])
+    R = factored(stack) if stack.size else stack
+    missing = n - R.shape[-2]
+    return np.concatenate([R, np.zeros((*R.shape[:-2], missing, n))], axis=-2) if missing else R
 
-
-def compressed(stack: Floats, group: Ints) -> tuple[Floats, Ints]:
-    """Return fewer rows of the same quadratic form where many are of one group, and the groups that they are of.
-
-    Args:
-        stack: (m, n) rows.
-        group: (m, j) what tells the groups apart; rows of equal ones are reduced to n, all groups at once.
-    """
-    m, n = stack.shape
-    if m * n * group.max(initial=0) <= FEW:
-        return stack, group
-    key = np.unique(_key(group), return_inverse=True)[1]
-    height = np.bincount(key)
-    order = np.argsort(key, kind="stable")
-    start = np.cumsum(height) - height
-    tall = np.flatnonzero(height > n)
-    rank = np.arange(height.max())
-    row = order[np.minimum(start[tall, None] + rank, len(order) - 1)]
-    R = factored(np.where((rank < height[tall, None])[..., None], stack[row], 0.0))
-    kept = height[key] <= n
-    groups = np.repeat(group[order[start[tall]]], n, axis=0)
-    return np.vstack([stack[kept], R.reshape(-1, n)]), np.vstack([group[kept], groups])
-
-
-def _key(group: Ints) -> Ints:
-    """(m,) a number for each row (m, j) of small numbers that is the same where rows are."""
-    lowest = group.min(axis=0)
-    extent = group.max(axis=0) - lowest + 1
-    if np.log2(extent).sum() > 62:
-        return np.asarray(np.unique(group, axis=0, return_inverse=True)[1].reshape(-1))
-    return np.asarray((group - lowest) @ np.cumprod([1, *extent[:-1]]))
-
-
-FEW = 1e6
-"""Rows times columns times groups of a stack from which on it pays to reduce groups first."""
 
 LARGE = 3e6
 """Rows times columns squared of a stack from which on it pays to look for parts that share no columns."""

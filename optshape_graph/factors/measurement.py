@@ -12,6 +12,7 @@ so all whitened rows of a scan stack into [A | r], whose triangular factor [L b;
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -21,7 +22,7 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, in_plane, marginalised, outer_rows, root, triangular
-from optshape_graph.se3 import PoseLike, as_matrix, exp, inverse, vec, vec_derivative
+from optshape_graph.se3 import PoseLike, as_matrix, inverse, rotation, transform, vec, vec_derivative
 
 FIRST_ROW = [0, 3, 6, 9]
 """Places of the first row of [R t] in z = [vec R; t]: all that a point on the plane x = 0 is linear in."""
@@ -250,27 +251,41 @@ class TemplateMeasurement(Value):
         return self.stack.T @ self.stack
 
 
-def refine(measurement: TemplateMeasurement, iterations: int = 20) -> Floats:
-    """Return the T_target_lidar (4, 4) nearest to where a measurement was taken that minimises its error.
+def refine(measurement: TemplateMeasurement) -> Floats:
+    """Return the T_target_lidar (4, 4) nearest to where a measurement was taken that minimises its error."""
+    return np.asarray(refine_all([measurement], measurement.T_target_lidar[None])[0])
+
+
+def refine_all(measurements: Sequence[TemplateMeasurement], starts: Floats, iterations: int = 20) -> Floats:
+    """Return the T_target_lidar (B, 4, 4) nearest to starts (B, 4, 4) that minimise the errors of measurements.
 
     Gauss-Newton steps on the compressed rows, with Levenberg's damping where they do not lead down.
     """
-    T, damping = measurement.T_target_lidar, 1e-12
-    error = measurement.error(T)
+    T, L, b = starts.copy(), np.stack([one.L for one in measurements]), np.stack([one.b for one in measurements])
+    residual = _residuals(L, b, T)
+    error, damping = (residual**2).sum(axis=1), np.full(len(T), 1e-12)
+    going = np.arange(len(T))
     for _ in range(iterations):
-        J = measurement.jacobian(T)
-        information = J.T @ J
-        damped = information + damping * np.trace(information) * np.eye(6)
-        step = -np.linalg.solve(damped, J.T @ measurement.residual(T))
-        candidate = T @ exp(step)
-        new = measurement.error(candidate)
-        if new <= error:
-            T, error, damping = candidate, new, max(damping / 10, 1e-12)
-        else:
-            damping = max(10 * damping, 1e-8)
-        if np.abs(step).max() < 1e-9 or damping > 1.0:
+        J = L[going] @ vec_derivative(T[going])
+        information, pull = np.swapaxes(J, 1, 2) @ J, np.swapaxes(J, 1, 2) @ residual[going, :, None]
+        trace = np.trace(information, axis1=1, axis2=2)
+        step = -np.linalg.solve(information + (damping[going] * trace)[:, None, None] * np.eye(6), pull)[..., 0]
+        candidate = T[going] @ transform(rotation(step[:, :3]), step[:, 3:])
+        left = _residuals(L[going], b[going], candidate)
+        new = (left**2).sum(axis=1)
+        down = new <= error[going]
+        lower = going[down]
+        T[lower], residual[lower], error[lower] = candidate[down], left[down], new[down]
+        damping[going] = np.where(down, np.maximum(damping[going] / 10, 1e-12), np.maximum(10 * damping[going], 1e-8))
+        going = going[(np.abs(step).max(axis=1) >= 1e-9) & (damping[going] <= 1.0)]
+        if not len(going):
             break
-    return np.asarray(T)
+    return T
+
+
+def _residuals(L: Floats, b: Floats, T: Floats) -> Floats:
+    """Return L z + b (B, 12) at poses (B, 4, 4)."""
+    return np.asarray((L @ vec(T)[..., None])[..., 0] + b)
 
 
 class Measured(Protocol):

@@ -9,7 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.edges import leftward, upward
-from optshape_graph.factors._rows import compressed
+from optshape_graph.factors._rows import factored, triangular
 from optshape_graph.factors.measurement import FIRST_ROW
 from optshape_graph.factors.static import (
     BRIGHTNESS,
@@ -19,8 +19,9 @@ from optshape_graph.factors.static import (
     BiasedMeasurement,
     SharedError,
     angle_entries,
-    spread,
+    of_ring,
 )
+from optshape_graph.groups import Groups
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel, ring_trend
 from optshape_graph.target import FLATNESS
@@ -52,10 +53,10 @@ class PlaneReturns(Value):
     which: Ints
     coupling: Floats
 
-    def select(self, mask: Bools) -> PlaneReturns:
-        """Return some of them, of a mask (N,)."""
+    def select(self, rows: Bools | Ints) -> PlaneReturns:
+        """Return some of them, by a mask (N,) or by numbers (M,)."""
         names = ("points", "offset", "sigma", "moved", "which", "coupling")
-        return replace(self, **{name: getattr(self, name)[mask] for name in names})
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def sharing(self, errors: Sequence[SharedError], moved: Floats, which: Ints | None = None) -> PlaneReturns:
         """Return them with further errors that they share.
@@ -152,40 +153,95 @@ def returns_on_plane(
         azimuth_noise: standard deviation of one azimuth, rad.
         flatness: standard deviation of the target itself about its plane, metres.
     """
-    points, sensor = scan.points, scan.sensor
-    range_noise, ring_bias = 0.01, np.full(len(points), 0.01)
-    if sensor is not None:
-        known = scan.ring is not None and scan.ring.max(initial=0) < sensor.n_rings
-        range_noise = sensor.range_noise
-        ring_bias = sensor.range_bias_sds[scan.ring] if known else np.full(len(points), sensor.ring_bias)
-    along = points @ normal
-    cosine = np.abs(along) / np.linalg.norm(points, axis=1)
+    (found,) = returns_on_planes([scan], normal[None], np.array([distance]), np.array([azimuth_noise]), flatness)
+    return found
+
+
+def returns_on_planes(
+    scans: Sequence[Scan], normals: Floats, distances: Floats, azimuth_noise: Floats, flatness: float
+) -> list[PlaneReturns]:
+    """Set the returns of B scans against a plane each, as `returns_on_plane` does.
+
+    Args:
+        scans: (B,) the returns of one target each.
+        normals: (B, 3) unit normals of the planes, LiDAR frame.
+        distances: (B,) of the planes from the sensor along their normals, metres.
+        azimuth_noise: (B,) standard deviations of one azimuth, rad.
+        flatness: standard deviation of the targets themselves about their planes, metres.
+    """
+    of = Groups.of([scan.points for scan in scans])
+    points, normal, distance = np.concatenate([scan.points for scan in scans]), of.each(normals), of.each(distances)
+    range_noise = of.each(np.array([scan.sensor.range_noise if scan.sensor else 0.01 for scan in scans]))
+    range_bias = np.concatenate([_range_biases(scan) for scan in scans])
+    along = np.einsum("ij,ij->i", points, normal)
+    cosine = np.abs(along) / np.sqrt(np.einsum("ij,ij->i", points, points))
     turning = leftward(points)
-    sideways = turning @ normal  # off the plane, metres per radian of azimuth
+    sideways = np.einsum("ij,ij->i", turning, normal)  # off the plane, metres per radian of azimuth
+    azimuth_noise = of.each(azimuth_noise)
     sigma = np.sqrt((range_noise * cosine) ** 2 + (azimuth_noise * sideways) ** 2 + flatness**2)
-    rings, column = np.unique(np.zeros(len(points), int) if scan.ring is None else scan.ring, return_inverse=True)
-    moved = (ring_bias * cosine / sigma)[:, None]
-    errors = tuple(SharedError(RANGE_BIAS, ring=None if scan.ring is None else int(ring)) for ring in rings)
+    moved = (range_bias * cosine / sigma)[:, None]
     in_plane = turning - points * (sideways / along)[:, None]
-    coupling = azimuth_noise**2 * sideways[:, None] * in_plane
-    projected = points * (distance / along)[:, None]
-    return PlaneReturns(projected, distance - along, sigma, errors, moved, column[:, None], coupling)
+    coupling = (azimuth_noise**2 * sideways)[:, None] * in_plane
+    projected, offset = points * (distance / along)[:, None], distance - along
+    found = []
+    for scan, rows in zip(scans, of.slices, strict=True):
+        rings, column = np.unique(np.zeros(len(scan), int) if scan.ring is None else scan.ring, return_inverse=True)
+        errors = (
+            [SharedError(RANGE_BIAS)] if scan.ring is None else [of_ring(RANGE_BIAS, ring) for ring in rings.tolist()]
+        )
+        found.append(
+            PlaneReturns(
+                projected[rows], offset[rows], sigma[rows], tuple(errors), moved[rows], column[:, None], coupling[rows]
+            )
+        )
+    return found
+
+
+def _range_biases(scan: Scan) -> Floats:
+    """(N,) standard deviation of the range bias of each return's ring, metres."""
+    sensor = scan.sensor
+    if sensor is None or scan.ring is None:
+        return np.full(len(scan), sensor.ring_bias if sensor else 0.01)
+    return sensor.range_bias_sds[scan.ring]
 
 
 def plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
-    """Returns against the target's plane, before the errors that they share, in standard deviations, are marginalised.
+    """Set returns against the target's plane, before the errors that they share are marginalised.
 
-    Where a residual and its row's coefficients err together, the gradient has a mean at the true pose, the sum of their
-    covariances; the constants take it out.
+    Errors are in standard deviations. Where a residual and its row's coefficients err together, the gradient has a mean
+    at the true pose, the sum of their covariances; the constants take it out.
+
+    Returns that the same errors move, such as those of a ring, are a group. Each group's rows are reduced by
+    themselves, and those with an error of that group alone are final: what is left of all groups has the other errors
+    and four entries of the pose. So the work grows with the returns (block-angular least squares; Golub and Plemmons,
+    Linear Algebra Appl. 1980).
     """
-    sigma, k = returns.sigma[:, None], returns.which.shape[1]
+    sigma, k, j = returns.sigma[:, None], len(returns.errors), returns.which.shape[1]
     A = np.column_stack([returns.points / sigma, 1 / sigma])  # linear in the first row of [R t]
-    mean = np.append((returns.coupling / sigma**2).sum(axis=0), 0.0)
-    r = -returns.offset / returns.sigma - A @ np.linalg.lstsq(A.T @ A, mean, rcond=1e-12)[0]
-    rows, which = compressed(np.column_stack([returns.moved, A, r]), returns.which)
-    pose = np.zeros((len(rows), 12))
-    pose[:, FIRST_ROW] = rows[:, k:-1]
-    columns = spread(rows[:, :k], which, len(returns.errors))
-    return BiasedMeasurement.from_rows(
-        pose, columns, rows[:, -1], np.eye(4), returns.errors, n_rows=len(returns.points)
-    )
+    r = -returns.offset / returns.sigma
+    if returns.coupling.any():
+        mean = np.append((returns.coupling / sigma**2).sum(axis=0), 0.0)
+        r = r - A @ np.linalg.lstsq(A.T @ A, mean, rcond=1e-12)[0]
+    order = np.lexsort(returns.which.T[::-1])
+    which = returns.which[order]
+    first = np.flatnonzero(np.append(True, (which[1:] != which[:-1]).any(axis=1)))
+    groups, which = Groups(np.diff(first, append=len(which))), which[first]
+    own = (np.bincount(which.ravel(), minlength=k)[which] == 1).all(axis=0)
+    place = np.argsort(~own, kind="stable")  # errors of one group alone first
+    own, which = int(np.count_nonzero(own)), which[:, place]
+    rows = np.zeros((len(groups), groups.counts.max(), j + 5))
+    rank = np.arange(len(order)) - groups.each(groups.first)
+    rows[groups.of_row, rank] = np.column_stack([returns.moved[:, place], A, r])[order]
+
+    # Reduced group by group, and at last what is left of all.
+    R = factored(rows)
+    columns = np.column_stack([which, np.broadcast_to(k + np.arange(5), (len(which), 5))])
+    final, left = R[:, :own], R[:, own:]
+    whole, rest = np.zeros((k + 5, k + 5)), np.zeros((*left.shape[:2], k + 5))
+    whole[columns[:, : final.shape[1], None], columns[:, None]] = final
+    np.put_along_axis(rest, np.broadcast_to(columns[:, None], left.shape), left, axis=2)
+    common = np.setdiff1d(np.arange(k + 5), which[:, :own])
+    whole[np.ix_(common, common)] = triangular(rest[..., common].reshape(-1, len(common)))
+    stack, place = np.zeros((k + 13, k + 13)), np.concatenate([np.arange(k), k + np.array([*FIRST_ROW, 12])])
+    stack[np.ix_(place, place)] = whole
+    return BiasedMeasurement(stack, len(returns.points), np.eye(4), returns.errors)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import cache, cached_property, reduce
 from operator import add
 
 import numpy as np
@@ -112,6 +112,12 @@ class SharedError:
         return self.kind
 
 
+@cache
+def of_ring(kind: str, ring: int) -> SharedError:
+    """Return the error of a kind that belongs to a ring: the same object always, for there are many, and but few."""
+    return SharedError(kind, ring=ring)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class BiasedMeasurement(Value):
     """The cost 1/2 ||S [beta; z; 1]||^2 of a target, beta being the errors that every scan of the scene shares.
@@ -185,23 +191,21 @@ class BiasedMeasurement(Value):
         """
         if not isinstance(other, BiasedMeasurement):
             return NotImplemented
-        for kind in {error.kind for error in self.shared} & {error.kind for error in other.shared}:
+        kinds = {error.kind for error in self.shared} & {error.kind for error in other.shared}
+        for kind in {error.kind for error in self.shared + other.shared if error.ring is None} & kinds:
             mine, theirs = ({error for error in one.shared if error.kind == kind} for one in (self, other))
-            if mine != theirs and any(error.ring is None for error in mine | theirs):
+            if mine != theirs:
                 raise InputError(
                     f"measurements whose shared errors mean different things do not add: {_words(mine - theirs)}; "
                     f"against {_words(theirs - mine)}: marginalise them in each scan first, with `without`"
                 )
-        errors = tuple(dict.fromkeys(self.shared + other.shared))
-        stack = triangular_by_parts(np.vstack([self._columns_for(errors), other._columns_for(errors)]), len(errors))
-        return BiasedMeasurement(stack, self.n_rows + other.n_rows, self.T_target_lidar, errors)
-
-    def _columns_for(self, errors: tuple[SharedError, ...]) -> Floats:
-        k, place = len(self.shared), {error: column for column, error in enumerate(errors)}
-        stack = np.zeros((len(self.stack), len(errors) + 13))
-        stack[:, [place[error] for error in self.shared]] = self.stack[:, :k]
-        stack[:, len(errors) :] = self.stack[:, k:]
-        return stack
+        place: dict[SharedError, int] = {}
+        columns = [[place.setdefault(error, len(place)) for error in one.shared] for one in (self, other)]
+        rows = np.zeros((len(self.stack) + len(other.stack), len(place) + 13))
+        for one, own, part in zip((self, other), columns, np.split(rows, [len(self.stack)]), strict=True):
+            part[:, [*own, *range(len(place), len(place) + 13)]] = one.stack
+        stack = triangular_by_parts(rows, len(place))
+        return BiasedMeasurement(stack, self.n_rows + other.n_rows, self.T_target_lidar, tuple(place))
 
     def without(self, errors: Collection[SharedError]) -> BiasedMeasurement:
         """Return the measurement with some errors marginalised, each in units of its standard deviation.
@@ -275,14 +279,17 @@ class BiasedMeasurement(Value):
         sigmas = np.broadcast_to(np.asarray(sigma, float), (k,))
         if not (np.isfinite(sigmas).all() and (sigmas >= 0).all()):
             raise InputError(f"standard deviations of shared errors are {sigmas}; expected finite numbers >= 0")
-        # In units of sigma the prior's rows are the identity, and sigma = 0 needs no special case.
-        unit = self.stack.copy()
-        unit[:, :k] *= sigmas
-        R = triangular_by_parts(np.vstack([np.eye(k, k + 13), unit]), k)
-        return TemplateMeasurement.from_stack(R[k:, k:], self.n_rows, self.T_target_lidar)
+        B = self.stack[:k, :k] * sigmas
+        root = np.linalg.cholesky(np.eye(k) + B @ B.T)  # of what the first k rows are off by
+        rows = np.vstack([np.linalg.solve(root, self.stack[:k, k:]), self.stack[k:, k:]])
+        return TemplateMeasurement.from_stack(rows, self.n_rows, self.T_target_lidar)
 
     def of_one_scan(self) -> TemplateMeasurement:
         """Return the measurement of one scan alone: all errors are its own."""
+        return self._of_one_scan
+
+    @cached_property
+    def _of_one_scan(self) -> TemplateMeasurement:
         return self.marginal(1.0)
 
 
@@ -303,7 +310,7 @@ def angle_entries(
     rings, column = np.unique(ring, return_inverse=True)
     up, left = angle_sds(sensor, ring)
     moved, which = [up * by_elevation, left * by_azimuth], [column, len(rings) + column]
-    errors = [SharedError(kind, ring=int(k)) for kind in (ELEVATION, AZIMUTH) for k in rings]
+    errors = [of_ring(kind, k) for kind in (ELEVATION, AZIMUTH) for k in rings.tolist()]
     if sensor is not None:
         trend = ring_trend(sensor, ring)
         for kind, sd, by in (

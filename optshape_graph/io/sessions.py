@@ -123,6 +123,7 @@ class Session(Value):
         static: names of the targets that stay where they are, in the world, in all views.
         platform_moves: whether what carries the sensors moves from view to view.
         initial: rough poses of sensors, as far as the file states them.
+        sensor_files: of each LiDAR the sensor file, or the built-in sensor, as the session's file names it.
     """
 
     name: str
@@ -135,6 +136,7 @@ class Session(Value):
     static: frozenset[str] = frozenset()
     platform_moves: bool = False
     initial: tuple[About, ...] = ()
+    sensor_files: Mapping[str, str] = field(default_factory=dict)
 
 
 def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
@@ -157,7 +159,8 @@ def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
     path = Path(path)
     root = read_document(path, "session", anywhere=allow_outside)
     fields = root.entries()
-    lidars = _named(fields, "sensor", "lidars", _sensor, lambda sensor: sensor.name)
+    models = _named(fields, "sensor", "lidars", _sensor, lambda named: named[1].name)
+    lidars = {name: model for name, (_, model) in models.items()}
     targets = _named(fields, "target", "targets", _target, lambda target: target.name)
     cameras = _named(fields, "camera", "cameras", _camera, lambda camera: camera.name)
     mocap = _mocap(fields["mocap"], targets) if "mocap" in fields else None
@@ -174,7 +177,8 @@ def load_session(path: str | Path, *, allow_outside: bool = False) -> Session:
     if doubled := [name for name, times in Counter(sensors).items() if times > 1]:
         root.fail(f"two sensors called '{doubled[0]}'; expected a name for each LiDAR, camera and body")
     initial = tuple(_about(node, sensors) for node in fields["initial"].items()) if "initial" in fields else ()
-    return Session(name, path, lidars, cameras, targets, views, mocap, static, moves, initial)
+    files = {name: file for name, (file, _) in models.items()}
+    return Session(name, path, lidars, cameras, targets, views, mocap, static, moves, initial, files)
 
 
 def sensors_of(mocap: Mocap | None) -> tuple[str, ...]:
@@ -202,10 +206,11 @@ def _loaded(node: Node, load: Callable[[str, Path], T], names: Sequence[str]) ->
         node.fail(str(error))
 
 
-def _sensor(node: Node) -> SensorModel:
+def _sensor(node: Node) -> tuple[str, SensorModel]:
+    """What the file calls a sensor, and the sensor."""
     if isinstance(node.value, dict):  # of the general form
         node = node.at("sensor")
-    return _loaded(node, load_sensor, builtin_names("sensor"))
+    return node.text(), _loaded(node, load_sensor, builtin_names("sensor"))
 
 
 def _target(node: Node) -> Target:

@@ -20,7 +20,7 @@ from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.graph import Chains, Inverse, Solution, State, add_rows, solve
 from optshape_graph.mapping.sweep import Sweep
-from optshape_graph.pose import PoseEstimate, estimate_pose
+from optshape_graph.pose import PoseEstimate, estimate_poses
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import (
     PoseLike,
@@ -84,10 +84,32 @@ def estimate_moving(returns: Scan, target: Target, motion: Floats | Sweep) -> tu
         InputError: the scan has no times.
         EstimationError: as `estimate_pose`.
     """
-    if not len(returns):
-        raise EstimationError(f"{returns.name}: no returns on the target")
-    at = float(_times(returns).mean())
-    return estimate_pose(deskew(returns, motion, at), target), at
+    (found,) = estimate_all_moving([returns], [target], motion)
+    if isinstance(found, EstimationError):
+        raise found
+    return found
+
+
+def estimate_all_moving(
+    returns: Sequence[Scan], targets: Sequence[Target], motion: Floats | Sweep
+) -> list[tuple[PoseEstimate, float] | EstimationError]:
+    """Estimate the poses of K targets in one scan at once, each as `estimate_moving` does.
+
+    Args:
+        returns: (K,) on one target each, with times.
+        targets: (K,) the templates.
+        motion: of the scan, as of `deskew`.
+
+    Returns:
+        For each target the estimate at a time, and that time; or the error, where the returns determine no pose.
+
+    Raises:
+        InputError: the scan has no times.
+    """
+    times = [float(_times(one).mean()) if len(one) else 0.0 for one in returns]
+    straight = [deskew(one, motion, at) if len(one) else one for one, at in zip(returns, times, strict=True)]
+    estimates = estimate_poses(straight, targets)
+    return [one if isinstance(one, EstimationError) else (one, at) for one, at in zip(estimates, times, strict=True)]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -14,7 +14,7 @@ from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.records import from_record, to_record
 from optshape_graph.mapping.keyframes import HALF_REVOLUTION, Keyframe
-from optshape_graph.mapping.motion import deskew, estimate_moving
+from optshape_graph.mapping.motion import deskew, estimate_all_moving
 from optshape_graph.mapping.shapes import shape_measurement
 from optshape_graph.mapping.sweep import Sweep
 from optshape_graph.mapping.track import Sighting
@@ -72,26 +72,30 @@ def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: 
         found = detect_targets(straight, targets).found
     except (EstimationError, InputError) as error:
         return Observed(keyframe.stamp, T_odometry_lidar, keyframe.distance, (), _reason(error))
-    sightings = []
-    for detection in found:
-        name = detection.target.name if named else None
-        if detection.rival is not None and detection.status == "ambiguous":
-            continue  # which target it is, is not known
-        fired, returns = scan.select(detection.indices), straight.select(detection.indices)
-        if sweep is not None and moving and (_lifted(fired, returns) > OFF_ITS_RING or not detection.estimate.usable):
-            seen = _moving_sighting(fired, detection.target, sweep, name, shapes, biases)
+    known = [one for one in found if one.rival is None or one.status != "ambiguous"]  # which target it is
+    fired = [scan.select(one.indices) for one in known]
+    sightings: dict[int, Sighting] = {}
+    lifted: list[int] = []
+    for k, detection in enumerate(known):
+        returns = straight.select(detection.indices)
+        if moving and (_lifted(fired[k], returns) > OFF_ITS_RING or not detection.estimate.usable):
+            lifted.append(k)
         elif detection.estimate.usable:
+            name = detection.target.name if named else None
             seen = _sighting(detection.estimate, returns, name, shapes, biases)
-            if sweep is not None:
-                seen = seen.moved(np.eye(4), _uncertainty(fired, sweep))
-        else:
-            seen = None
-        if seen is not None:
-            first = keyframe.T_first_lidar
-            sightings.append(
-                replace(seen, lidar=keyframe.lidar) if first is None else seen.on_body(first, keyframe.lidar)
-            )
-    return Observed(keyframe.stamp, T_odometry_lidar, keyframe.distance, tuple(sightings), "")
+            sightings[k] = seen if sweep is None else seen.moved(np.eye(4), _uncertainty(fired[k], sweep))
+    if sweep is not None:
+        wanted = [known[k].target for k in lifted]
+        for k, again in zip(lifted, estimate_all_moving([fired[k] for k in lifted], wanted, sweep), strict=True):
+            if not isinstance(again, EstimationError) and again[0].usable:
+                name = known[k].target.name if named else None
+                sightings[k] = _moving_sighting(fired[k], *again, sweep, name, shapes, biases)
+    first = keyframe.T_first_lidar
+    placed = [
+        replace(seen, lidar=keyframe.lidar) if first is None else seen.on_body(first, keyframe.lidar)
+        for _, seen in sorted(sightings.items(), key=lambda item: item[0])
+    ]
+    return Observed(keyframe.stamp, T_odometry_lidar, keyframe.distance, tuple(placed), "")
 
 
 def _uncertainty(fired: Scan, sweep: Sweep) -> Floats:
@@ -119,15 +123,9 @@ def _sighting(estimate: PoseEstimate, returns: Scan, name: str | None, shapes: b
 
 
 def _moving_sighting(
-    returns: Scan, target: Target, sweep: Sweep, name: str | None, shapes: bool, biases: bool
-) -> Sighting | None:
-    """A sighting from the scan's stamp, of returns taken while moving; None where they give no pose."""
-    try:
-        estimate, at = estimate_moving(returns, target, sweep)
-    except EstimationError:
-        return None
-    if not estimate.usable:
-        return None
+    returns: Scan, estimate: PoseEstimate, at: float, sweep: Sweep, name: str | None, shapes: bool, biases: bool
+) -> Sighting:
+    """A sighting from the scan's stamp, of returns taken while moving, whose target's pose is known at their time."""
     sighting = _sighting(estimate, deskew(returns, sweep, at), name, shapes, biases)
     return sighting.moved(sweep.between(0.0, at), sweep.uncertainty(0.0, at))
 

@@ -22,6 +22,7 @@ from optshape_graph.graph import Chains, State, add_rows
 from optshape_graph.mapping.batch_solution import Keys
 from optshape_graph.mapping.track import MappingProblem, Sighting
 from optshape_graph.pose import PoseEstimate
+from optshape_graph.ring_returns import RingReturns
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import apply, inverse
 from optshape_graph.target import Target
@@ -38,7 +39,10 @@ def shape_measurement(estimate: PoseEstimate, returns: Scan) -> ShapeMeasurement
         returns: the returns on the target that it was made of.
     """
     n = len(estimate.target)
-    returns, azimuth_noise = level_rings(returns)  # as the estimator does, so that rows of its edge points agree
+    azimuth_noise = 0.0
+    if returns.ring is not None:  # as the estimator does, so that rows of its edge points agree
+        level, noise = level_rings(RingReturns.of([returns]))
+        (returns,), azimuth_noise = level.sorted_scans(), float(noise[0])
     edges, plane = estimate.edge_points, estimate.plane
     normal, distance = plane[:3], -float(plane[3])
     boundary = edges.points + estimate.inset[:, None] * edges.outward(normal)

@@ -9,7 +9,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.errors import EstimationError, InputError, expect
-from optshape_graph.pose.certificate import NOT_TIGHT, Backend, certify
+from optshape_graph.pose.certificate import NOT_TIGHT, Backend, certify_all
 from optshape_graph.pose.containment import find_by_containment
 from optshape_graph.pose.evidence import Evidence, Finding, measure
 from optshape_graph.pose.fit import Fit, measure_fit
@@ -17,8 +17,8 @@ from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.paper import find_as_paper
 from optshape_graph.pose.result import Ambiguity, PoseEstimate, Status
 from optshape_graph.pose.rings import find_by_rings
-from optshape_graph.scan import Scan, not_in_metres, put_right, without_duplicates
-from optshape_graph.se3 import inverse, inverse_covariance
+from optshape_graph.scan import Scan, not_in_metres, put_right
+from optshape_graph.se3 import inverse, inverse_covariance, vec_derivative
 from optshape_graph.target import Target
 
 Method = Literal["global", "paper"]
@@ -98,78 +98,97 @@ def estimate_poses(
     for name, value, choices in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
         if value not in choices:
             raise InputError(f"{name} is {value!r}; expected one of {', '.join(map(repr, choices))}")
-    evidences = [_measured(*pair, method, options) for pair in zip(scans, templates, strict=True)]
+    evidences = _measured(scans, templates, method, options)
     ringed = [one for one in evidences if isinstance(one, Evidence) and one.scan.ring is not None and method != "paper"]
     by_rings = iter(find_by_rings(ringed))
-    estimates: list[PoseEstimate | EstimationError] = []
+    findings: list[Finding | EstimationError] = []
     for evidence in evidences:
-        if isinstance(evidence, EstimationError):
-            estimates.append(evidence)
-            continue
         try:
-            if method == "paper":
-                found: Finding | EstimationError = find_as_paper(evidence, backend)
+            if isinstance(evidence, EstimationError):
+                findings.append(evidence)
+            elif method == "paper":
+                findings.append(find_as_paper(evidence, backend))
             else:
-                found = find_by_containment(evidence) if evidence.scan.ring is None else next(by_rings)
-            estimates.append(found if isinstance(found, EstimationError) else conclude(found, backend))
+                findings.append(find_by_containment(evidence) if evidence.scan.ring is None else next(by_rings))
         except EstimationError as error:
-            estimates.append(error)
+            findings.append(error)
+    estimates = iter(conclude([found for found in findings if isinstance(found, Finding)], backend))
+    return [found if isinstance(found, EstimationError) else next(estimates) for found in findings]
+
+
+def _measured(
+    scans: Sequence[Scan], targets: Sequence[Target], method: Method, options: PoseOptions
+) -> list[Evidence | EstimationError]:
+    """Put scans right, and measure what is known of each whatever the pose."""
+    found: dict[int, Evidence | EstimationError] = {}
+    for k, scan in enumerate(scans):
+        if method == "paper" and scan.ring is None:
+            found[k] = EstimationError(f"{scan.name}: edge points need rings, and the cloud has none")
+        elif objection := not_in_metres(scan.points):
+            found[k] = EstimationError(objection)
+    good = [k for k in range(len(scans)) if k not in found]
+    right = [put_right(scans[k]) for k in good]
+    measured = measure(right, [targets[k] for k in good], options, as_recorded=method == "paper")
+    found.update(zip(good, measured, strict=True))
+    return [found[k] for k in range(len(scans))]
+
+
+def conclude(findings: Sequence[Finding], backend: Backend) -> list[PoseEstimate | EstimationError]:
+    """Certify what was found in B scans, judge it, and make the records: the same for every method."""
+    if not findings:
+        return []
+    T_target_lidar = np.array([found.measurement.T_target_lidar for found in findings])
+    T_lidar_target = inverse(T_target_lidar)
+    J = np.array([found.measurement.L for found in findings]) @ vec_derivative(T_target_lidar)
+    information = np.swapaxes(J, 1, 2) @ J + 1e-9 * np.eye(6)
+    covariance = inverse_covariance(T_target_lidar, np.linalg.inv(information))
+    unobservable = _unobservable(findings, covariance)
+    uncertain = _too_uncertain(findings, covariance)
+    certificates = certify_all(
+        [found.exact for found in findings],
+        T_target_lidar,
+        [found.total_weight for found in findings],
+        backend,
+        [found.evidence.problem.options.certified_gap for found in findings],
+    )
+    estimates: list[PoseEstimate | EstimationError] = []
+    for k, (found, fit, certificate) in enumerate(zip(findings, measure_fit(findings), certificates, strict=True)):
+        if isinstance(certificate, EstimationError):
+            estimates.append(certificate)
+            continue
+        evidence, problem = found.evidence, found.evidence.problem
+        status, reason = _verdict(found, fit, unobservable[k], uncertain[k])
+        if status == "ok" and not certificate.certified:
+            reason = NOT_TIGHT
+        off_plane = evidence.scan.points @ T_target_lidar[k, 0, :3] + T_target_lidar[k, 0, 3]
+        estimates.append(
+            PoseEstimate(
+                target=problem.target,
+                T_lidar_target=T_lidar_target[k],
+                covariance=covariance[k],
+                status=status,
+                reason=reason,
+                measurement=found.measurement,
+                shared=found.shared,
+                certificate=certificate,
+                ambiguity=Ambiguity(found.margin, found.rival),
+                log_likelihood=found.log_likelihood,
+                edge_points=problem.edges,
+                labels=found.labels,
+                inset=found.inset,
+                edge_sigma=found.edge_sigma,
+                edge_residuals=found.edge_residuals,
+                plane_rms=float(np.sqrt(np.mean(off_plane**2))),
+                n_returns=len(evidence.scan),
+                unobservable=unobservable[k],
+                fit=fit,
+                scan=evidence.scan.name,
+            )
+        )
     return estimates
 
 
-def _measured(scan: Scan, target: Target, method: Method, options: PoseOptions) -> Evidence | EstimationError:
-    """Put a scan right, and measure what is known of it whatever the pose."""
-    if method == "paper" and scan.ring is None:
-        return EstimationError(f"{scan.name}: edge points need rings, and the cloud has none")
-    if objection := not_in_metres(scan.points):
-        return EstimationError(objection)
-    try:
-        whole, duplicates = without_duplicates(put_right(scan))
-        return measure(whole, target, options, duplicates, as_recorded=method == "paper")
-    except EstimationError as error:
-        return error
-
-
-def conclude(found: Finding, backend: Backend) -> PoseEstimate:
-    """Certify what was found, judge it, and make the record: the same for every method."""
-    evidence, measurement = found.evidence, found.measurement
-    problem, options = evidence.problem, evidence.problem.options
-    T_target_lidar = measurement.T_target_lidar
-    T_lidar_target = inverse(T_target_lidar)
-    information = measurement.information() + 1e-9 * np.eye(6)
-    covariance = inverse_covariance(T_target_lidar, np.linalg.inv(information))
-    unobservable = unobservable_directions(covariance, problem.target.circumradius, options.unobservable_sd)
-    fit = measure_fit(found)
-    status, reason = _verdict(found, fit, covariance, unobservable)
-    certificate = certify(found.exact, T_target_lidar, found.total_weight, backend, options.certified_gap)
-    if status == "ok" and not certificate.certified:
-        reason = NOT_TIGHT
-    off_plane = evidence.scan.points @ T_target_lidar[0, :3] + T_target_lidar[0, 3]
-    return PoseEstimate(
-        target=problem.target,
-        T_lidar_target=T_lidar_target,
-        covariance=covariance,
-        status=status,
-        reason=reason,
-        measurement=measurement,
-        shared=found.shared,
-        certificate=certificate,
-        ambiguity=Ambiguity(found.margin, found.rival),
-        log_likelihood=found.log_likelihood,
-        edge_points=problem.edges,
-        labels=found.labels,
-        inset=found.inset,
-        edge_sigma=found.edge_sigma,
-        edge_residuals=found.edge_residuals,
-        plane_rms=float(np.sqrt(np.mean(off_plane**2))),
-        n_returns=len(evidence.scan),
-        unobservable=unobservable,
-        fit=fit,
-        scan=evidence.scan.name,
-    )
-
-
-def _verdict(found: Finding, fit: Fit, covariance: Floats, unobservable: tuple[str, ...]) -> tuple[Status, str]:
+def _verdict(found: Finding, fit: Fit, unobservable: tuple[str, ...], uncertain: str) -> tuple[Status, str]:
     """Status and reason, the weightiest first."""
     if found.objection:
         return "failed", found.objection
@@ -179,41 +198,51 @@ def _verdict(found: Finding, fit: Fit, covariance: Floats, unobservable: tuple[s
         return "doubtful", fit.reason
     if found.margin < found.evidence.problem.options.ambiguity_margin:
         return "ambiguous", f"a different pose is only {found.margin:.2g} less likely (log likelihood)"
-    uncertain = _too_uncertain(found.evidence, covariance)
     return ("ambiguous", uncertain) if uncertain else ("ok", "")
 
 
-def _too_uncertain(evidence: Evidence, covariance: Floats) -> str:
-    """Say what of a pose is less certain than a pose that can be used may be; empty where nothing is."""
-    problem, options = evidence.problem, evidence.problem.options
-    size = problem.target.circumradius
-    seen = f"{problem.edges.n_rings} rings" if len(problem.edges) else f"{len(evidence.scan)} returns"
-    for block, limit, unit, name in (
-        (slice(0, 3), options.largest_turn_sd, np.degrees(1.0), "deg"),
-        (slice(3, 6), options.largest_shift_sd * size, 1.0, "m"),
-    ):
-        values, vectors = np.linalg.eigh(covariance[block, block])
-        sd = float(np.sqrt(values[-1]))
-        if sd > limit:
-            direction = _DIRECTIONS[block][int(np.abs(vectors[:, -1]).argmax())]
-            found_sd, largest = f"{sd * unit:.2g} {name}", f"{limit * unit:.2g}"
-            return f"too uncertain: {direction} has a standard deviation of {found_sd}, over {largest}, from {seen}"
-    return ""
-
-
-def unobservable_directions(covariance: Floats, size: float, largest_sd: float) -> tuple[str, ...]:
-    """Name what a pose's covariance leaves undetermined.
+def _too_uncertain(findings: Sequence[Finding], covariance: Floats) -> list[str]:
+    """Say what of a pose is less certain than a pose that can be used may be; empty where nothing is.
 
     Args:
-        covariance: (6, 6), rotation first.
-        size: metres that count as one radian: the target's radius.
-        largest_sd: standard deviation, rad or sizes, beyond which a direction is undetermined.
+        findings: of B scans.
+        covariance: (B, 6, 6), rotation first.
     """
-    scale = np.array([1.0, 1.0, 1.0, size, size, size])
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    names = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value > largest_sd**2:
-            parts = [_DIRECTIONS[k] for k in np.argsort(-np.abs(vector)) if abs(vector[k]) > 0.4]
-            names.append(" with ".join(parts))
-    return tuple(names)
+    said = [""] * len(findings)
+    for block, unit, name in ((slice(3, 6), 1.0, "m"), (slice(0, 3), np.degrees(1.0), "deg")):
+        values, vectors = np.linalg.eigh(covariance[:, block, block])
+        for k, sd in enumerate(np.sqrt(values[:, -1]).tolist()):
+            problem, options = findings[k].evidence.problem, findings[k].evidence.problem.options
+            turn = name == "deg"
+            limit = options.largest_turn_sd if turn else options.largest_shift_sd * problem.target.circumradius
+            if sd > limit:
+                direction = _DIRECTIONS[block][int(np.abs(vectors[k, :, -1]).argmax())]
+                n = len(findings[k].evidence.scan)
+                seen = f"{problem.edges.n_rings} rings" if len(problem.edges) else f"{n} returns"
+                found_sd, largest = f"{sd * unit:.2g} {name}", f"{limit * unit:.2g}"
+                said[k] = (
+                    f"too uncertain: {direction} has a standard deviation of {found_sd}, over {largest}, from {seen}"
+                )
+    return said
+
+
+def _unobservable(findings: Sequence[Finding], covariance: Floats) -> list[tuple[str, ...]]:
+    """Name what poses' covariances leave undetermined, the target's radius counting as one radian.
+
+    Args:
+        findings: of B scans.
+        covariance: (B, 6, 6), rotation first.
+    """
+    scale = np.ones((len(findings), 6))
+    scale[:, 3:] = np.array([[found.evidence.problem.target.circumradius] for found in findings])
+    values, vectors = np.linalg.eigh(covariance / (scale[:, :, None] * scale[:, None, :]))
+    names: list[tuple[str, ...]] = []
+    for found, of_values, of_vectors in zip(findings, values, vectors, strict=True):
+        open_ = np.flatnonzero(of_values > found.evidence.problem.options.unobservable_sd**2)
+        names.append(tuple(_in_words(of_vectors[:, k]) for k in open_))
+    return names
+
+
+def _in_words(direction: Floats) -> str:
+    """Name the largest parts of a direction (6,), rotation first."""
+    return " with ".join(_DIRECTIONS[k] for k in np.argsort(-np.abs(direction)) if abs(direction[k]) > 0.4)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.records import to_record
-from optshape_graph.pose import Backend, Method, PoseEstimate, estimate_pose
+from optshape_graph.pose import Backend, Method, PoseEstimate, estimate_poses
 from optshape_graph.runs.files import UNREADABLE, Outcome
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
@@ -18,14 +18,14 @@ from optshape_graph.target import Target
 
 
 @dataclass(frozen=True)
-class EstimateFile:
-    """Reads a scan and estimates its target's pose: a function of the path, for `run_files`.
+class EstimateFiles:
+    """Reads scans and estimates their target's poses, of all at once: a function of the paths, for `run_files`.
 
     Attributes:
         target: the template.
         sensor: that made the scans; None: unknown.
-        method: of `estimate_pose`.
-        backend: of `estimate_pose`.
+        method: of `estimate_poses`.
+        backend: of `estimate_poses`.
         columns: names of the clouds' columns that have none, in order; None: they name their own.
         then: called with path, scan and estimate, to draw them, and returns the pictures; None: nothing is drawn.
     """
@@ -37,14 +37,26 @@ class EstimateFile:
     columns: tuple[str, ...] | None = None
     then: Callable[[str, Scan, PoseEstimate], Sequence[Path]] | None = None
 
-    def __call__(self, path: str) -> Outcome:
-        try:
-            scan = read_scan(path, self.sensor, self.columns)
-            estimate = estimate_pose(scan, self.target, self.method, self.backend)
-        except InputError as error:
-            return Outcome(UNREADABLE, (str(error),), PoseEstimate.failed_entry(path, self.target.name, str(error)))
-        except EstimationError as error:
-            return self.failed(path, str(error))
+    AT_ONCE: ClassVar[int] = 16
+    """Scans whose poses are estimated at once: more gain little, and wait for each other."""
+
+    def __call__(self, paths: Sequence[str]) -> list[Outcome]:
+        scans: dict[int, Scan] = {}
+        found: dict[int, Outcome] = {}
+        for k, path in enumerate(paths):
+            try:
+                scans[k] = read_scan(path, self.sensor, self.columns)
+            except InputError as error:
+                entry = PoseEstimate.failed_entry(path, self.target.name, str(error))
+                found[k] = Outcome(UNREADABLE, (str(error),), entry)
+        estimates = estimate_poses(list(scans.values()), self.target, self.method, self.backend)
+        for (k, scan), estimate in zip(scans.items(), estimates, strict=True):
+            found[k] = self._outcome(paths[k], scan, estimate)
+        return [found[k] for k in range(len(paths))]
+
+    def _outcome(self, path: str, scan: Scan, estimate: PoseEstimate | EstimationError) -> Outcome:
+        if isinstance(estimate, EstimationError):
+            return self.failed(path, str(estimate))
         pictures = () if self.then is None else tuple(map(str, self.then(path, scan, estimate)))
         reasons = (f"{path}: {estimate.status}: {estimate.reason}",) if estimate.status != "ok" else ()
         return Outcome(estimate.status, reasons, estimate.to_dict(), pictures)

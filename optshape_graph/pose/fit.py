@@ -9,14 +9,14 @@ boards by sensors that are described by their files stay below it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.pose.evidence import Coverage, Evidence, Finding, coverage
-from optshape_graph.pose.surface import Surface
+from optshape_graph.pose.evidence import PLANE, Coverage, Evidence, Finding, PlaneResiduals, Surface, coverages
 
 RIM = 0.06
 """Width of a frame, metres: those of boards and panels are 3 to 8 cm wide."""
@@ -109,47 +109,36 @@ class Fit(Value):
         return {**plain, "surface": surface, "flags": flags, "warnings": list(self.warnings)}
 
 
-def plane_flags(evidence: Evidence, T_target_lidar: Floats) -> list[Flag]:
-    """Ask the distances from the plane, whatever the outline.
+def plane_flags(evidence: Evidence, rim_step: float, rim_chance: float) -> list[Flag]:
+    """Ask the distances from the plane.
 
     Args:
         evidence: what the fit is judged by.
-        T_target_lidar: (4, 4) the pose.
+        rim_step: how far the rim stands behind the rest, metres.
+        rim_chance: probability of so much.
     """
-    r, s = evidence.residuals, evidence.surface
-    radius = evidence.problem.target.gyration
-    yz = evidence.in_plane(T_target_lidar)
-    tilt = np.degrees(2 * s.size / radius)
+    r, s, two, (before, by) = evidence.residuals, evidence.surface, evidence.sheets, evidence.in_front
+    tilt = np.degrees(2 * s.size / evidence.problem.target.gyration)
     off = float(np.mean(~r.usual))
-    p = evidence.scan.points
-    azimuth = np.angle((p[:, 0] + 1j * p[:, 1]) * np.conj(p[:, 0].sum() + 1j * p[:, 1].sum()))
-    two = r.sheets(azimuth)
-    before, by = r.in_front(azimuth)
-    order, outer = np.lexsort((azimuth, r.column)), np.zeros(len(p), dtype=bool)
-    ring = r.column[order]
-    for k in (1, 2):
-        differs = np.ones(len(p), dtype=bool)
-        differs[k:] = ring[k:] != ring[:-k]
-        outer[order] |= differs | np.append(differs[k:], np.ones(k, dtype=bool))
-    rim = evidence.problem.target.outside_distance(yz) > -RIM
-    step, chance = r.rim_step(rim, ~outer)
-    ends = np.abs(r.rest[evidence.problem.edges.index]) if len(evidence.problem.edges) else np.zeros(1)
-    scale = max(1.0, r.noise / 0.01)
+    ends = np.zeros(1)
+    if evidence.scan.ring is not None:
+        ends = np.abs(r.rest[np.column_stack([r.rings.first, r.rings.last])]).ravel()
+    scale = max(1.0, float(r.noise[0]) / 0.01)
     far, near = ends > 0.06 * scale, ends > 0.03 * scale
     mean = float(np.minimum(ends, 0.06 * scale).mean())
     return [
         Flag("surface", tilt / TILT_DEG * (s.probability < 1e-6),
              f"the returns lie on a {s.shape} of {1e3 * s.size:.0f} mm rms, which leaves {tilt:.1f} deg of tilt open: "
              "a target that isn't flat"),
-        Flag("raised frame", abs(step) / RIM_STEP * (chance < 10**-6.5),
-             f"returns within {100 * RIM:.0f} cm of the rim stand {1e3 * abs(step):.0f} mm "
-             f"{'in front' if step < 0 else 'behind'}: a raised frame"),
+        Flag("raised frame", abs(rim_step) / RIM_STEP * (rim_chance < 10**-6.5),
+             f"returns within {100 * RIM:.0f} cm of the rim stand {1e3 * abs(rim_step):.0f} mm "
+             f"{'in front' if rim_step < 0 else 'behind'}: a raised frame"),
         Flag("mixed ends", max(far.mean() / 0.07, near.mean() / 0.20, mean / scale / 0.020) * (near.sum() > 3),
              f"{near.mean():.0%} of the ring ends lie more than {3 * scale:.0f} cm off their ring: mixed with the "
              "background, or a frame"),
         Flag("off the plane", off / OFF_PLANE,
              f"{off:.0%} of the returns lie off the plane: something else is among them"),
-        Flag("in front", min(before / 1.5, before / len(p) / IN_FRONT),
+        Flag("in front", min(before / 1.5, before / len(r.e) / IN_FRONT),
              f"{before} neighbouring returns stand {100 * by:.0f} cm in front of the plane: a hand or a bracket hides "
              "a part of the target"),
         Flag("two sheets", max(min(two.correlation / -0.25, two.score / -6.0),
@@ -202,15 +191,15 @@ def cut_short(azimuth: Floats, z: Floats, step: float) -> float:
     return float(np.linalg.norm(short)) if len(short) >= max(2, len(last) / 2) else 0.0
 
 
-def ring_flags(found: Finding, cover: Coverage) -> list[Flag]:
-    """Ask ring ends, returns outside and firings missing inside."""
+def ring_flags(found: Finding, cover: Coverage, outside: Floats) -> list[Flag]:
+    """Ask ring ends, firings that are missing, and returns outside, by how many beam widths they are (N,)."""
     ends, edges = found.ends, found.evidence.problem.edges
     assert ends is not None
     chi, beyond, run = ends.clipped_mean_square, ends.share_beyond, ends.longest_run
     missing, side = max((cover.missing_left, "left"), (cover.missing_right, "right"))
     share = missing / max(cover.expected, 1.0)
-    outside = float(np.mean(cover.outside > 1.0))
-    count = int(np.count_nonzero(cover.outside > 1.0))
+    count = int(np.count_nonzero(outside > 1.0))
+    of_all = count / len(outside)
     tilt, chance = found.evidence.tilt or (0.0, 1.0)
     further = float(np.hypot(ends.offset, ends.blooming))  # most of the one where the other has no room
     z, left, right = ends.z * ends.sd / np.hypot(ends.sd, STRAIGHT), edges.azimuth[0::2], -edges.azimuth[1::2]
@@ -237,62 +226,100 @@ def ring_flags(found: Finding, cover: Coverage) -> list[Flag]:
              f"{missing:.0f} firings on the {side} returned nothing though the outline is there: the view is cut"),
         Flag("missing rings", (cover.missing_rings + 1) / 2.5,
              f"{cover.missing_rings} rings beyond those with returns should have hit: the view is cut, or hidden"),
-        Flag("outside", min(outside / 0.035, count / 4),
-             f"{outside:.0%} of the returns lie outside the outline by more than a beam: not all are this target's"),
+        Flag("outside", min(of_all / 0.035, count / 4),
+             f"{of_all:.0%} of the returns lie outside the outline by more than a beam: not all are this target's"),
         Flag("frame", tilt / 3e-4 * (chance < 1e-6),
              f"elevations vary by {np.degrees(tilt):.2f} deg within rings: points not in the sensor's own frame"),
     ]  # fmt: skip
 
 
-def measure_fit(found: Finding) -> Fit:
-    """Say how well the returns fit the pose that was found."""
-    evidence, ends, T_target_lidar = found.evidence, found.ends, found.measurement.T_target_lidar
-    scan, r = evidence.scan, evidence.residuals
-    normal = T_target_lidar[0, :3]
-    cosine = float(np.mean(np.abs(scan.points @ normal) / np.linalg.norm(scan.points, axis=1)))
-    plane = r.beyond(3, np.zeros((len(scan), 0)))
-    flags = plane_flags(evidence, T_target_lidar)
-    if ends is not None:
-        cover = coverage(evidence, T_target_lidar, max(ends.blooming, 0.0) * evidence.problem.beam.blooming)
-        flags += ring_flags(found, cover)
-        outside, tilt = cover.outside, evidence.tilt[0] if evidence.tilt else None
-        missing = (cover.missing_left, cover.missing_right, cover.missing_inside)
-        rings, expected = cover.missing_rings, cover.expected
+def measure_fit(findings: Sequence[Finding]) -> list[Fit]:
+    """Say how well the returns of B scans fit the poses that were found."""
+    if not findings:
+        return []
+    residuals = PlaneResiduals.side_by_side([found.evidence.residuals for found in findings])
+    further = [max(found.ends.blooming, 0.0) * found.evidence.problem.beam.blooming if found.ends else 0.0
+               for found in findings]  # fmt: skip
+    outside = [
+        found.evidence.outside(found.measurement.T_target_lidar, more)
+        for found, more in zip(findings, further, strict=True)
+    ]
+    place = np.arange(len(residuals.e)) - residuals.rings.each(residuals.rings.first)
+    inner = (place > 1) & (place < residuals.rings.each(residuals.rings.counts) - 2)
+    steps, chances = residuals.rim_step(np.concatenate([metres for metres, _ in outside]) > -RIM, inner)
+    plane = residuals.beyond(PLANE, np.zeros((len(residuals.e), 0)))
+    square, freedom = plane.gram[:, -1, -1] / residuals.noise**2, plane.freedom.astype(int)
+    covers = _covers(findings, further)
+    return [
+        _fit_of(found, covers[k], beams, plane_flags(found.evidence, steps[k], chances[k]), square[k], freedom[k])
+        for k, (found, (_, beams)) in enumerate(zip(findings, outside, strict=True))
+    ]
+
+
+def _covers(findings: Sequence[Finding], further: Sequence[float]) -> list[Coverage | None]:
+    """Return the coverage of each scan with rings, those of targets with as many edges at once; None without."""
+    covers: list[Coverage | None] = [None] * len(findings)
+    sizes = [len(found.evidence.problem.target) if found.ends else 0 for found in findings]
+    for size in set(sizes) - {0}:
+        chosen = [k for k, other in enumerate(sizes) if other == size]
+        T = np.array([findings[k].measurement.T_target_lidar for k in chosen])
+        some = coverages([findings[k].evidence for k in chosen], T, np.array([further[k] for k in chosen]))
+        for k, cover in zip(chosen, some, strict=True):
+            covers[k] = cover
+    return covers
+
+
+def _fit_of(
+    found: Finding, cover: Coverage | None, outside: Floats, flags: list[Flag], square: float, freedom: int
+) -> Fit:
+    """Put together the fit of one scan.
+
+    Args:
+        found: what was found in it.
+        cover: where returns are lacking; None without rings.
+        outside: (N,) how many beam widths the returns lie outside.
+        flags: of the distances from the plane.
+        square: chi-square of these.
+        freedom: their degrees of freedom.
+    """
+    evidence, ends = found.evidence, found.ends
+    r, normal = evidence.residuals, found.measurement.T_target_lidar[0, :3]
+    cosine = float(np.mean(np.abs(evidence.scan.points @ normal) / evidence.ranges))
+    if ends is not None and cover is not None:
+        flags = [*flags, *ring_flags(found, cover, outside)]
     else:
-        flags.append(
-            Flag("mirrored", found.mirrored / evidence.problem.options.ambiguity_margin,
-                 f"the mirror image of the target fits better (log likelihood {found.mirrored:.1f}): it is hung back "
-                 "to front")
-        )  # fmt: skip
-        outside = evidence.outside_beams(T_target_lidar)
-        tilt, missing, rings, expected = None, (0.0, 0.0, 0.0), 0, None
-    noise_factor, bias_factor = r.noise / r.file_noise, r.bias / r.file_bias
+        turned = Flag("mirrored", found.mirrored / evidence.problem.options.ambiguity_margin,
+                      f"the mirror image of the target fits better (log likelihood {found.mirrored:.1f}): it is hung "
+                      "back to front")  # fmt: skip
+        flags = [*flags, turned]
+    noise, bias = float(r.noise[0]), float(r.bias[0])
+    noise_factor, bias_factor = noise / float(r.file_noise[0]), bias / float(r.file_bias[0])
     warnings = [
         f"{what} is {factor:.1f} times the sensor file's"
         for what, factor, limit in (("range noise", noise_factor, 2.8), ("ring bias", bias_factor, 4.0))
         if factor > limit
     ]
-    if expected and not 0.72 < len(scan) / expected < 1.35:
-        warnings.append(f"{len(scan)} returns where the outline should have {expected:.0f}")
+    if cover and cover.expected and not 0.72 < len(outside) / cover.expected < 1.35:
+        warnings.append(f"{len(outside)} returns where the outline should have {cover.expected:.0f}")
     return Fit(
-        noise=r.noise / cosine,
-        ring_bias=r.bias / cosine,
+        noise=noise / cosine,
+        ring_bias=bias / cosine,
         noise_factor=noise_factor,
         bias_factor=bias_factor,
         edge_factor=ends.factor if ends else 1.0,
-        plane_chi_square=float(plane.gram[-1, -1]) / r.noise**2,
-        plane_freedom=plane.freedom,
+        plane_chi_square=float(square),
+        plane_freedom=int(freedom),
         edge_chi_square=ends.chi_square if ends else 0.0,
         edge_freedom=ends.freedom if ends else 0,
         surface=evidence.surface,
         farthest_outside=float(outside.max()),
         share_outside=float(np.mean(outside > 1.0)),
-        missing_left=missing[0],
-        missing_right=missing[1],
-        missing_inside=missing[2],
-        missing_rings=rings,
-        expected_returns=expected,
-        ring_tilt=tilt,
+        missing_left=cover.missing_left if cover else 0.0,
+        missing_right=cover.missing_right if cover else 0.0,
+        missing_inside=evidence.missing_inside,
+        missing_rings=cover.missing_rings if cover else 0,
+        expected_returns=cover.expected if cover else None,
+        ring_tilt=evidence.tilt[0] if evidence.tilt else None,
         duplicates=evidence.duplicates,
         flags=tuple(sorted((flag for flag in flags if flag.excess > 1.0), key=lambda flag: -flag.excess)),
         warnings=tuple(warnings),

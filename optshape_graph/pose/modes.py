@@ -20,18 +20,16 @@ from optshape_graph.edges import UP
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.static import OUTER_EDGE, SharedError, angle_errors
 from optshape_graph.pose.association import enumerate_poses
-from optshape_graph.pose.evidence import Evidence, ends_of
-from optshape_graph.pose.firings import Firings
-from optshape_graph.pose.mixture import Components, LogDensity, Samples, sample
-from optshape_graph.pose.propagation import (
+from optshape_graph.pose.ends import (
     Posterior,
     alternative_labels,
     concatenate,
     firsts,
     work_out,
 )
-from optshape_graph.pose.rays import Rays
-from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, rotation, transform, vec, vec_derivative
+from optshape_graph.pose.evidence import Evidence, ends_of
+from optshape_graph.pose.sampling import Components, Firings, LogDensity, Rays, SampledPose, Samples, sample
+from optshape_graph.se3 import adjoint, apply, cross, difference, exp, inverse, vec, vec_derivative
 from optshape_graph.sensor import SensorModel, total_angle_sds
 from optshape_graph.target import Target
 
@@ -77,26 +75,6 @@ NOTHING = 1e-12
 
 ASKED = 256
 """Samples that are asked on which edge each ring ends."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SampledPose(Value):
-    """What samples say of the best mode.
-
-    Attributes:
-        T_target_lidar: (4, 4) posterior mean.
-        offset: mean of the offset across the edges, in beam widths.
-        covariance: (7, 7) of the right perturbation of T_target_lidar, rotation first, and of the offset.
-        errors: (K,) what other scans of the sensor or of the scene share: where rings look, and where the target ends.
-        effect: (7, K) how far the truth lies from pose (rad, metres) and offset (beam widths) for a standard deviation
-            of each.
-    """
-
-    T_target_lidar: Floats
-    offset: float
-    covariance: Floats
-    errors: tuple[SharedError, ...]
-    effect: Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -179,7 +157,7 @@ def _find_together(evidences: Sequence[Evidence]) -> list[Posterior]:
         beside = alternative_labels(ends.take(improved), best, ALTERNATIVES)
         for k, target in enumerate([targets[of] for of in improved]):
             pose, own = best.T_target_lidar[k : k + 1], np.vstack([best.geometry.labels[k], beside[k]])
-            free = np.concatenate([pose, _lookalikes(pose, target)]) if turn == 0 else pose
+            free = np.concatenate([pose, _upright(target.lookalike_transforms @ pose, target)]) if turn == 0 else pose
             T.append(np.concatenate([np.repeat(pose, len(own), axis=0), free]))
             labels.append(np.vstack([own, np.full((len(free), own.shape[1]), -1)]))  # a pose's labels are its own
         again, more = work_out(ends, improved[_scan_of(T)], np.concatenate(T), np.concatenate(labels), sweeps=4)
@@ -207,14 +185,6 @@ def _best(scan: Ints, found: Posterior, wanted: Ints) -> Ints:
 def _scan_of(of_scans: Sequence[Floats]) -> Ints:
     """(C,) number of the scan that each row of arrays, one of each scan, is of."""
     return np.repeat(np.arange(len(of_scans)), [len(one) for one in of_scans])
-
-
-def _lookalikes(T_target_lidar: Floats, target: Target) -> Floats:
-    """Return a pose (1, 4, 4) turned in its plane by half a turn, and by the best fits of the shape on itself."""
-    vertices = target.polygon[:, 0] + 1j * target.polygon[:, 1]
-    fits = [np.angle(np.vdot(vertices, np.roll(vertices, -k))) for k in range(1, len(target))]
-    turns = np.array([np.pi, *fits])
-    return _upright(transform(rotation(turns[:, None] * [1.0, 0.0, 0.0])) @ T_target_lidar, target)
 
 
 def _upright(T: Floats, target: Target) -> Floats:
@@ -347,7 +317,7 @@ def _components(posterior: Posterior, centre: Floats, size: float) -> Components
     narrow = WIDENING**2 * J @ posterior.joint @ np.swapaxes(J, 1, 2)
     middle = apply(posterior.T_target_lidar, centre[None])[:, 0]
     turning = np.zeros((len(J), 7))
-    turning[:, 0], turning[:, 3:6] = 1.0, np.cross(middle, [1.0, 0.0, 0.0])
+    turning[:, 0], turning[:, 3:6] = 1.0, cross(middle, np.array([1.0, 0.0, 0.0]))
     broad = narrow + BROAD[0] ** 2 * turning[:, :, None] * turning[:, None]
     broad[:, [4, 5], [4, 5]] += (BROAD[1] * size) ** 2
     likely = np.exp((posterior.log_likelihood - posterior.log_likelihood.max()) / 4)
@@ -390,7 +360,7 @@ def _effects(evidence: Evidence, T_target_lidar: Floats) -> tuple[tuple[SharedEr
     g = problem.geometry(T)
     weight = 1.0 / (g.own + g.along**2 * (edges.width**2 / 12 + edges.shift**2))
     m = g.direction @ T[:, :3, :3]
-    J = np.concatenate([np.cross(edges.points, m), m, g.across[..., None]], axis=-1)
+    J = np.concatenate([cross(edges.points, m), m, g.across[..., None]], axis=-1)
     D = vec_derivative(T)
     information = (np.swapaxes(J, 1, 2) @ (weight[..., None] * J)).mean(axis=0)
     information[:6, :6] += (np.swapaxes(D, 1, 2) @ problem.plane[:12, :12] @ D).mean(axis=0)

@@ -15,6 +15,7 @@ from optshape_graph._arrays import Floats, Ints
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors.measurement import TemplateMeasurement, edge_rows, plane_rows
 from optshape_graph.pose.certificate import Backend, solve_relaxation
+from optshape_graph.pose.ends import fit_ends
 from optshape_graph.pose.evidence import Evidence, Finding
 from optshape_graph.se3 import apply, difference, transform
 from optshape_graph.target import Target
@@ -59,7 +60,7 @@ def find_as_paper(evidence: Evidence, backend: Backend) -> Finding:
         inset=np.zeros(len(edges)),
         edge_sigma=np.full(len(edges), sigma),
         edge_residuals=(target.normals[labels] * moved[:, 1:]).sum(axis=1) - target.offsets[labels],
-        ends=evidence.problem.fit(T, labels),
+        ends=fit_ends(evidence.problem.ends, T[None], labels[None])[0],
     )
 
 

@@ -9,288 +9,195 @@ into one measurement.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints
-from optshape_graph.edges import UP, EdgePoints
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.errors import EstimationError
-from optshape_graph.factors.measurement import refine, template_rows
-from optshape_graph.factors.static import (
-    BLOOMING,
-    EDGE_OFFSET,
-    OUTER_EDGE,
-    STRAIN,
-    BiasedMeasurement,
-    SharedError,
-    angle_errors,
-)
-from optshape_graph.pose.evidence import Evidence, Finding
-from optshape_graph.pose.modes import Modes, SampledPose, compare_modes, find_candidates
-from optshape_graph.se3 import difference, vec, vec_derivative
-
-MOST = 0.5
-"""Share of a sampled pose's variance, in any direction, that errors which scans share explain at most: by how far they
-displace the pose differs a little from scan to scan, and where little is left that difference would tell the errors."""
+from optshape_graph.factors.measurement import TemplateMeasurement, refine_all
+from optshape_graph.factors.static import BiasedMeasurement
+from optshape_graph.pose.ends import EdgeGeometry, EdgeRows, EndsFit, Posterior, RingEnds, concatenate, fit_ends
+from optshape_graph.pose.evidence import Evidence, Finding, ends_of
+from optshape_graph.pose.modes import Modes, compare_modes, find_candidates
+from optshape_graph.pose.sampling import sampled_measurement
+from optshape_graph.se3 import difference
 
 
 def find_by_rings(evidences: Sequence[Evidence]) -> list[Finding | EstimationError]:
     """Find targets' poses by the edges on which their rings end; see `estimate_poses`.
 
     Args:
-        evidences: of B scans with rings, the candidates of all of which are worked out at once.
+        evidences: of B scans with rings, which are worked out at once.
 
     Returns:
         For each scan what was found; or the error, where no pose explains the returns.
     """
-    found: list[Finding | EstimationError] = []
-    for evidence, candidates in zip(evidences, find_candidates(evidences), strict=True):
+    found: dict[int, Finding | EstimationError] = {}
+    alike: dict[int, list[tuple[int, Modes]]] = {}  # scans that lie side by side: their targets have as many edges
+    for k, (evidence, candidates) in enumerate(zip(evidences, find_candidates(evidences), strict=True)):
         try:
-            found.append(_in_one_measurement(evidence, compare_modes(candidates, evidence)))
+            modes = compare_modes(candidates, evidence)
+            alike.setdefault(len(evidence.problem.target), []).append((k, modes))
         except EstimationError as error:
-            found.append(error)
+            found[k] = error
+    for some in alike.values():
+        places, modes_of = zip(*some, strict=True)
+        found.update(zip(places, _in_one_measurement([evidences[k] for k in places], modes_of), strict=True))
+    return [found[k] for k in range(len(evidences))]
+
+
+def _in_one_measurement(evidences: Sequence[Evidence], modes: Sequence[Modes]) -> list[Finding]:
+    """Compress the best mode of each scan into one measurement, taken at its minimum."""
+    ends, associations = ends_of(evidences), Associations.of(modes)
+    T, labels = _at_best(ends, modes)
+    fits = fit_ends(ends, T, labels)
+    edges = _on_edges(evidences, modes, ends, associations, fits)
+    shared = [one for one, _ in edges]
+    minima = refine_all([one.of_one_scan() for one in shared], T)
+
+    # What is uncertain beside: the surface, and associations that disagree or ends that scatter more than they should.
+    with_surface = [one.displaced(*pair) for one, *pair in zip(evidences, shared, minima, strict=True)]
+    disagreement = associations.disagreement(minima, [one.of_one_scan() for one in with_surface])
+    for k, (one, fit) in enumerate(zip(modes, fits, strict=True)):
+        factor = disagreement[k] if one.sampled is None else fit.factor
+        if factor > 1.0:
+            shared[k] = replace(shared[k], stack=shared[k].stack / factor)
+    minima = refine_all([one.of_one_scan() for one in shared], minima)  # shared errors weigh otherwise now
+    exact = [one.of_one_scan().at(pose) for one, pose in zip(shared, minima, strict=True)]
+    shared = [one.displaced(*pair) for one, *pair in zip(evidences, shared, minima, strict=True)]
+
+    # How the ring ends lie about the edges there.
+    final = ends.geometry(minima, labels)
+    best = associations.posterior.select(np.searchsorted(associations.scan, np.arange(len(modes))))
+    residuals = final.residual + best.inset * final.along
+    offset = np.array([one.sampled.offset if one.sampled else one.candidates.offset[0] for one in modes])
+    explained = _explained(ends, final, offset)
+    return [
+        Finding(
+            evidence=evidence,
+            measurement=shared[k].of_one_scan().at(minima[k]),
+            exact=exact[k],
+            shared=shared[k],
+            total_weight=edges[k][1] + float((1 / evidence.returns.sigma**2).sum()),
+            margin=modes[k].margin,
+            rival=modes[k].rival,
+            log_likelihood=modes[k].log_likelihood,
+            labels=final.labels[k, :n],
+            inset=best.inset[k, :n],
+            edge_sigma=best.sigma[k, :n],
+            edge_residuals=residuals[k, :n],
+            ends=fits[k],
+            objection=_objection(explained[k, ends.there[k]], evidence.problem.options.min_explained),
+        )
+        for k, (evidence, n) in enumerate((one, len(one.problem.edges)) for one in evidences)
+    ]
+
+
+def _at_best(ends: RingEnds, modes: Sequence[Modes]) -> tuple[Floats, Ints]:
+    """Poses (B, 4, 4) to start from, the samples' or the best candidates', and the edges (B, M) of ring ends there."""
+    T, labels = np.empty((len(modes), 4, 4)), np.zeros(ends.there.shape, dtype=int)
+    for k, one in enumerate(modes):
+        if one.sampled is None:
+            found = one.candidates.geometry.labels[0]
+            T[k], labels[k, : len(found)] = one.candidates.T_target_lidar[0], found
+        else:
+            T[k], labels[k] = one.sampled.T_target_lidar, -1
+    return T, ends.geometry(T, labels).labels if (labels < 0).any() else labels
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Associations(Value):
+    """The associations of best modes that count, A of B scans.
+
+    Attributes:
+        scan: (A,) that each is of, ascending.
+        weight: (A,) probability of each; those of a scan sum to 1.
+        posterior: of each.
+    """
+
+    scan: Ints
+    weight: Floats
+    posterior: Posterior
+
+    @classmethod
+    def of(cls, modes: Sequence[Modes]) -> Associations:
+        """Collect them."""
+        weights = [one.weights for one in modes]
+        chosen = [np.flatnonzero(weight) for weight in weights]
+        return cls(
+            np.repeat(np.arange(len(modes)), [len(rows) for rows in chosen]),
+            np.concatenate([weight[rows] for weight, rows in zip(weights, chosen, strict=True)]),
+            concatenate([one.candidates.select(rows) for one, rows in zip(modes, chosen, strict=True)]),
+        )
+
+    def mean(self, values: Floats) -> Floats:
+        """(B, ...) weighted means by scan of values (A, ...)."""
+        first = np.searchsorted(self.scan, np.arange(self.scan[-1] + 1))
+        return np.asarray(np.add.reduceat(self.weight.reshape(-1, *[1] * (values.ndim - 1)) * values, first))
+
+    def shares(self) -> Floats:
+        """(A,) shares in the cost that stands for all of a scan.
+
+        A weighted mean of costs is a cost of the same form. Its minimum is near the mixture's mean where a weight is
+        the association's probability over how sure that association is of its pose, against the others.
+        """
+        covariance = self.posterior.covariance
+        mean = self.mean(covariance)[self.scan]
+        share = self.weight / np.trace(np.linalg.solve(covariance, mean), axis1=1, axis2=2)
+        return np.asarray(share / np.bincount(self.scan, share)[self.scan])
+
+    def disagreement(self, T_target_lidar: Floats, measurements: Sequence[TemplateMeasurement]) -> Floats:
+        """(B,) factors on standard deviations by which associations disagree about poses (B, 4, 4).
+
+        The covariance of the mixture about the estimate, averaged over directions, is the measurement's own times
+        the square of a factor of at least 1.
+        """
+        information = np.stack([one.information(pose) for one, pose in zip(measurements, T_target_lidar, strict=True)])
+        xi = difference(T_target_lidar[self.scan], self.posterior.T_target_lidar)
+        moment = self.mean(self.posterior.covariance + xi[:, :, None] * xi[:, None, :])
+        ratio = (information * moment).sum(axis=(1, 2)) / 6.0
+        return np.where(np.bincount(self.scan) > 1, np.sqrt(np.maximum(1.0, ratio)), 1.0)
+
+
+def _on_edges(
+    evidences: Sequence[Evidence],
+    modes: Sequence[Modes],
+    ends: RingEnds,
+    associations: Associations,
+    fits: Sequence[EndsFit],
+) -> list[tuple[BiasedMeasurement, float]]:
+    """Say what edges and plane say together in each scan; with the sum of 1 / sigma^2 of the edges, 1/m2.
+
+    Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely
+    take part. Ring ends that scatter more than they should count less.
+    """
+    rows = EdgeRows.of(ends.take(associations.scan), associations.posterior)
+    share, bounds = associations.shares(), np.searchsorted(associations.scan, np.arange(len(modes) + 1)).tolist()
+    found = []
+    for k, (evidence, one, fit) in enumerate(zip(evidences, modes, fits, strict=True)):
+        problem = evidence.bounded
+        if one.sampled is None:
+            mine = slice(bounds[k], bounds[k + 1])
+            on_edges, weight = rows.measurement(mine, share[mine], problem, fit.seen_strain, fit.factor)
+            found.append((on_edges + evidence.on_plane, weight))
+        else:
+            offset_sd = problem.beam.offset_of_rays(np.linalg.norm(problem.edges.points, axis=1))
+            found.append(sampled_measurement(one.sampled, evidence.on_plane, offset_sd))
     return found
 
 
-def _in_one_measurement(evidence: Evidence, modes: Modes) -> Finding:
-    """Compress the best mode into one measurement, taken at its minimum."""
-    problem, on_plane, n = evidence.bounded, evidence.on_plane, len(evidence.problem.edges)
-    best = modes.candidates
-    T, labels, offset = best.T_target_lidar[:1], best.geometry.labels[:1], float(best.offset[0])
-    if modes.sampled is not None:
-        T, offset = modes.sampled.T_target_lidar[None], modes.sampled.offset
-        labels = problem.geometry(T).labels
-    ends = evidence.problem.fit(T[0], labels[0, :n])
-    if modes.sampled is None:
-        on_edges, edge_weight = _edge_measurement(evidence, modes, ends.seen_strain, ends.factor)
-        shared = on_edges + on_plane
-    else:
-        offset_sd = problem.beam.offset_of_rays(np.linalg.norm(problem.edges.points, axis=1))
-        shared, edge_weight = sampled_measurement(modes.sampled, on_plane, offset_sd)
-
-    # What is uncertain beside: the surface, and associations that disagree or ends that scatter more than they should.
-    T_target_lidar = refine(shared.of_one_scan().at(T[0]))
-    if modes.sampled is None:
-        factor = _disagreement(evidence.displaced(shared, T_target_lidar), T_target_lidar, modes)
-    else:
-        factor = ends.factor
-    shared = replace(shared, stack=shared.stack / factor)
-    exact = shared.of_one_scan().at(T_target_lidar)  # shared errors weigh otherwise now: its minimum is its own
-    T_target_lidar = refine(exact)
-    shared = evidence.displaced(shared, T_target_lidar)
-
-    # How the ring ends lie about the edges there.
-    final = problem.geometry(T_target_lidar[None], labels)
-    return Finding(
-        evidence=evidence,
-        measurement=shared.of_one_scan().at(T_target_lidar),
-        exact=exact,
-        shared=shared,
-        total_weight=edge_weight + float((1 / evidence.returns.sigma**2).sum()),
-        margin=modes.margin,
-        rival=modes.rival,
-        log_likelihood=modes.log_likelihood,
-        labels=final.labels[0, :n],
-        inset=best.inset[0, :n],
-        edge_sigma=best.sigma[0, :n],
-        edge_residuals=(final.residual[0] + best.inset[0] * final.along[0])[:n],
-        ends=ends,
-        objection=_objection(evidence, T_target_lidar, labels, offset),
-    )
+def _explained(ends: RingEnds, geometry: EdgeGeometry, offset: Floats) -> Bools:
+    """(B, M) whether ring ends lie where a last return may, give or take 3 sigma; offsets (B,) in beam widths."""
+    along = geometry.along
+    boundary = geometry.residual + offset[:, None] * geometry.across + along * ends.middle
+    scatter = np.sqrt(geometry.own + (ends.ring_shift * along) ** 2)
+    return np.asarray(np.abs(boundary) < np.abs(along) * 0.5 * ends.width + 3 * scatter)
 
 
-def _edge_measurement(
-    evidence: Evidence, modes: Modes, strain: float, factor: float
-) -> tuple[BiasedMeasurement, float]:
-    """Boundary points against their edges, before what they share is marginalised; and their weight.
-
-    They share the offset across the edges, the blooming, and the strains of an outline that isn't as drawn, as large as
-    are seen; those of a ring the errors of its elevation and of its azimuth. Ends that scatter more than they should
-    count less.
-
-    Near a vertex a ring end may belong to either edge, so associations of the best mode that are nearly as likely
-    take part: a weighted mean of their costs is a cost of the same form. Its minimum is near the mixture's mean where
-    a weight is the association's probability over how sure that association is of its pose, against the others.
-
-    Args:
-        evidence: of the scan.
-        modes: what was found in it.
-        strain: of the outline, as far as it is seen.
-        factor: on standard deviations of ring ends.
-
-    Returns:
-        The measurement, and the sum of 1 / sigma^2, 1/m2.
-    """
-    problem, weight, posterior = evidence.bounded, modes.weights, modes.candidates
-    covariance = posterior.covariance
-    mean = np.einsum("c,cij->ij", weight, covariance)
-    weight = weight / np.trace(np.linalg.solve(covariance, mean), axis1=1, axis2=2)
-    weight /= weight.sum()
-    chosen = np.flatnonzero(weight)  # A of them, M edge points each
-    weight, T, edges = weight[chosen], posterior.T_target_lidar[chosen], problem.edges
-    g, inset, sigma = posterior.geometry.select(chosen), posterior.inset[chosen], posterior.sigma[chosen]
-    normal = T[:, 0, :3, None]
-    outward = edges.sweep - edges.points * ((edges.sweep @ normal) / (edges.points @ normal))
-    boundary = edges.points + inset[..., None] * outward
-    offsets = problem.target.offsets[g.labels] + g.shift
-    A, r = template_rows(boundary.reshape(-1, 3), g.direction.reshape(-1, 3), offsets.ravel())
-    sigma = np.sqrt(np.maximum(sigma**2 - g.of_ring, 0.1 * sigma**2))
-    own, outer = _outer_edges(edges, sigma, g.own - g.of_ring)
-    ring = np.tile(edges.ring, len(chosen))
-    by_angle, angles = angle_errors(g.lifted.ravel(), g.turned.ravel(), ring, problem.sensor)
-    common = np.stack([g.across * problem.beam.common, -g.along * problem.blooming[:, 0]], axis=-1)
-    parts = [common, strain * problem.strains(g.labels, boundary, T), outer, by_angle, A, r]
-    rows = np.concatenate([part.reshape(*own.shape, -1) for part in parts], axis=-1)
-    rows *= (np.sqrt(weight)[:, None] / (factor * own))[..., None]
-    if problem.ring_shifts.shape[1]:
-        rows = _without_shifts(problem.ring_shifts * (g.along / own)[..., None], rows)
-    stack = rows.reshape(-1, rows.shape[-1])
-    measurement = BiasedMeasurement.from_rows(
-        stack[:, -13:-1],
-        stack[:, :-13],
-        stack[:, -1],
-        posterior.T_target_lidar[0],
-        [
-            *(SharedError(kind) for kind in (EDGE_OFFSET, BLOOMING, *STRAIN)),
-            *(SharedError(OUTER_EDGE, ring=int(ring)) for ring in edges.ring[np.abs(edges.side) == UP]),
-            *angles,
-        ],
-    )
-    total = float(weight @ (1 / (factor * sigma) ** 2).sum(axis=1))
-    return replace(measurement, n_rows=len(edges)), total
-
-
-def _outer_edges(edges: EdgePoints, sigma: Floats, own: Floats) -> tuple[Floats, Floats]:
-    """Split what is known of where the target ends before the next ring, the same in all scans of a static scene.
-
-    Args:
-        edges: ring ends, and returns of the highest and the lowest ring.
-        sigma: (A, M) standard deviation of each, metres.
-        own: (A, M) variance that each scan draws anew, square metres.
-
-    Returns:
-        (A, M) the part of the standard deviations that is drawn anew, and (A, M, K) the part that is shared.
-    """
-    outside = np.abs(edges.side) == UP
-    new = np.where(outside, np.sqrt(np.clip(own, 1e-2 * sigma**2, sigma**2)), sigma)
-    shared = np.sqrt(np.maximum(sigma**2 - new**2, 0.0))
-    return new, shared[..., None] * np.eye(len(edges))[:, outside]
-
-
-def sampled_measurement(
-    sampled: SampledPose, on_plane: BiasedMeasurement, offset_sd: float
-) -> tuple[BiasedMeasurement, float]:
-    """Say of a pose that was sampled what the plane and the edges say together.
-
-    To samples, what scans of one sensor or scene share is a blur. Each such error becomes a column of its own, which
-    displaces pose and offset, and its part is taken out of the blur.
-
-    Args:
-        sampled: pose and offset.
-        on_plane: what the returns of the plane say.
-        offset_sd: standard deviation of the offset before the scan, in beam widths.
-
-    Returns:
-        The measurement of plane and edges, and the sum of 1 / sigma^2 of the edges, 1/m2.
-    """
-    T, root = sampled.T_target_lidar, np.linalg.cholesky(sampled.covariance)
-    directions, size, errors = np.linalg.svd(np.linalg.solve(root, sampled.effect), full_matrices=False)
-    effect = root @ (directions * np.minimum(size, np.sqrt(MOST))) @ errors
-    blur = replace(sampled, covariance=sampled.covariance - effect @ effect.T)
-    on_edges, weight = _blurred_measurement(blur, on_plane, offset_sd)
-    shared = on_edges + on_plane
-    k = len(shared.shared)
-    columns = {error: shared.stack[:, i] for i, error in enumerate(shared.shared)}
-    A = shared.stack[:, k:-1]
-    J = np.column_stack([A @ vec_derivative(T), columns[SharedError(EDGE_OFFSET)] / offset_sd])
-    for error, moved in zip(sampled.errors, -(J @ effect).T, strict=True):
-        columns[error] = columns.get(error, 0.0) + moved
-    B = np.column_stack(list(columns.values()))
-    measurement = BiasedMeasurement.from_rows(A, B, shared.stack[:, -1], T, list(columns))
-    return replace(measurement, n_rows=shared.n_rows), weight
-
-
-def _blurred_measurement(
-    sampled: SampledPose, on_plane: BiasedMeasurement, offset_sd: float
-) -> tuple[BiasedMeasurement, float]:
-    """Say of the edges what, with the plane, makes the pose that was sampled, its covariance and the offset's.
-
-    Near the mean (R0, t0) a right perturbation (w, v) is linear in z = [vec R; t]: w is half of what is skew in
-    R0^T R, and v = R0^T (t - t0). w vanishes for a half turn too; two rows of second order, the diagonal of R0^T R less
-    1, tell that apart.
-
-    Args:
-        sampled: pose and offset.
-        on_plane: what the returns of the plane say.
-        offset_sd: standard deviation of the offset before the scan, in beam widths.
-
-    Returns:
-        The measurement, in z and the common offset, and the sum of 1 / sigma^2, 1/m2.
-    """
-    T = sampled.T_target_lidar
-    scale = np.append(np.ones(6), offset_sd)
-    total = np.linalg.inv(sampled.covariance) * np.outer(scale, scale)
-    elsewhere, pull = np.zeros((7, 7)), np.zeros(7)  # of the plane, and of the offset's prior
-    plane = on_plane.of_one_scan().at(T)
-    J = plane.jacobian(T)
-    elsewhere[:6, :6], elsewhere[6, 6] = J.T @ J, 1.0
-    pull[:6], pull[6] = J.T @ plane.residual(T), sampled.offset / offset_sd
-    # What is left is the edges'. Where samples scatter more than the plane alone would let them, almost nothing is.
-    root = np.linalg.cholesky(total)
-    values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, total - elsewhere).T))
-    values = np.maximum(values, 1e-3)
-    whiten = np.sqrt(values)[:, None] * (root @ vectors).T
-    constant = whiten @ np.append(np.zeros(6), -sampled.offset / offset_sd) - np.linalg.solve(whiten.T, pull)
-    K = 0.5 * vec_derivative(T).T
-    K[3:] *= 2.0
-    straight = np.array([_diagonal(T, axis) for axis in (1, 2)]) * np.sqrt(0.5 * total[0, 0])
-    A = np.vstack([whiten[:, :6] @ K, straight])
-    r = np.concatenate([constant - whiten[:, :6] @ K @ vec(T), -np.full(2, np.sqrt(0.5 * total[0, 0]))])
-    B = np.concatenate([whiten[:, 6], np.zeros(2)])[:, None]
-    measurement = BiasedMeasurement.from_rows(A, B, r, T, [SharedError(EDGE_OFFSET)])
-    return measurement, float(np.trace(total[4:6, 4:6]))
-
-
-def _diagonal(T: Floats, axis: int) -> Floats:
-    """(12,) row of an entry on the diagonal of R0^T R in z, for T = (R0, t0) (4, 4)."""
-    entry = np.zeros((4, 3))
-    entry[axis] = T[:3, axis]  # column by column
-    return entry.ravel()
-
-
-def _without_shifts(B: Floats, rows: Floats) -> Floats:
-    """Whiten rows (A, M, n) which unit-variance errors share, columns B (A, M, K) of disjoint rows."""
-    square = (B**2).sum(axis=1, keepdims=True)
-    share = np.where(square > 0, (1 - 1 / np.sqrt(1 + square)) / np.maximum(square, 1e-300), 0.0)
-    return np.asarray(rows - (B * share) @ (np.swapaxes(B, 1, 2) @ rows))
-
-
-def _disagreement(shared: BiasedMeasurement, T_target_lidar: Floats, modes: Modes) -> float:
-    """Return the factor on standard deviations by which associations of the best mode disagree about the pose.
-
-    The covariance of the mixture about the estimate, averaged over directions, is the measurement's own times
-    the square of a factor of at least 1.
-    """
-    weight, posterior = modes.weights, modes.candidates
-    rows = np.flatnonzero(weight)
-    if len(rows) == 1:
-        return 1.0
-    xi = difference(T_target_lidar, posterior.T_target_lidar[rows])
-    second_moment = np.einsum("c,cij->ij", weight[rows], posterior.covariance[rows] + xi[:, :, None] * xi[:, None, :])
-    return float(np.sqrt(max(1.0, np.trace(shared.of_one_scan().information(T_target_lidar) @ second_moment) / 6.0)))
-
-
-def _objection(evidence: Evidence, T_target_lidar: Floats, labels: Ints, offset: float) -> str:
-    """Say how many ring ends lie elsewhere than a last return may, give or take 3 sigma, where those are too many."""
-    problem, edges = evidence.bounded, evidence.bounded.edges
-    geometry = problem.geometry(T_target_lidar[None], labels)
-    along = geometry.along[0]
-    boundary = geometry.residual[0] + offset * geometry.across[0] + along * edges.middle
-    half = np.abs(along) * 0.5 * edges.width
-    scatter = np.sqrt(geometry.own[0] + (edges.shift * along) ** 2)
-    explained = np.abs(boundary) < half + 3 * scatter
-    if explained.mean() >= problem.options.min_explained:
+def _objection(explained: Bools, least: float) -> str:
+    """Say how many of a scan's ring ends (M,) lie elsewhere than they may, where those are too many."""
+    if explained.mean() >= least:
         return ""
     count = f"{(~explained).sum()} of {len(explained)}"
     return f"{count} ring ends do not end on an edge: not this target, or its returns are mixed"

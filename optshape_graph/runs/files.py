@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,9 @@ Progress = Callable[[int, int], None]
 
 UNREADABLE = "unreadable"
 """Status of a file that cannot be read as expected."""
+
+LEAST_CHUNKS = 16
+"""A run is split in so many chunks at least, files permitting, so that as many workers have something to do."""
 
 LIST = "scans"
 """Key of the document's list of entries."""
@@ -48,17 +52,17 @@ class Outcome:
 
 @dataclass(frozen=True)
 class _Kept:
-    """A function that returns its outcome as a line of the journal, so that workers encode entries, too."""
+    """A function that returns its outcomes as lines of the journal, so that workers encode entries, too."""
 
-    function: Callable[[str], Outcome]
+    function: Callable[[Sequence[str]], Sequence[Outcome]]
 
-    def __call__(self, path: str) -> dict[str, Any]:
-        return _line(self.function(path), path)
+    def __call__(self, paths: Sequence[str]) -> list[dict[str, Any]]:
+        return [_line(outcome, path) for outcome, path in zip(self.function(paths), paths, strict=True)]
 
 
 @contextmanager
 def run_files(
-    function: Callable[[str], Outcome],
+    function: Callable[[Sequence[str]], Sequence[Outcome]],
     paths: Sequence[str],
     failed: Callable[[str, str], Outcome],
     *,
@@ -67,11 +71,16 @@ def run_files(
     output: Path | None = None,
     pool: Pool | None = None,
     progress: Progress | None = None,
+    at_once: int = 1,
 ) -> Iterator[Journal]:
     """Apply a function to files, and write one document; go on where a stopped run ended.
 
+    Files that are worked on together may differ in rounding from each alone. So chunks depend on nothing but the files'
+    order and number, and one that was stopped halfway is done again: the document's bytes stay the same. Where a worker
+    is killed twice with a chunk, its files are tried one by one.
+
     Args:
-        function: of a path; importable by name, picklable with what it holds.
+        function: of some of the paths, returns the outcome of each; importable by name, picklable with what it holds.
         paths: of the files, in the order of the document.
         failed: outcome of a path and a reason, for a file whose worker was killed.
         form: kind of the document, `optshape/<form>/1`.
@@ -79,6 +88,7 @@ def run_files(
         output: the document; its journal is beside it until it is written. None: nothing is written.
         pool: the workers; None: this process.
         progress: called as files are finished.
+        at_once: most files that the function is given in one call.
 
     Yields:
         The journal: a line for each file, in their order, with its `status`, `reasons` and `entry` (JSON text).
@@ -93,12 +103,16 @@ def run_files(
     ):
         if progress is not None:
             progress(journal.finished, len(paths))
-        for number, line in (pool or Pool()).run(_Kept(function), ((n, paths[n]) for n in journal.todo())):
-            journal.add(number, _line(failed(paths[number], line.reason), "") if isinstance(line, Lost) else line)
-            if progress is not None:
-                progress(journal.finished, len(paths))
-        first = next((line for line in journal if line["status"] != UNREADABLE), None)
-        if first is None and len(paths):
+        for size in sorted({max(1, min(at_once, len(paths) // LEAST_CHUNKS)), 1}, reverse=True):
+            for number, lines in (pool or Pool()).run(_Kept(function), _chunks(journal, paths, size)):
+                if isinstance(lines, Lost):
+                    lines = [] if size > 1 else [_line(failed(paths[number], lines.reason), "")]
+                for k, line in enumerate(lines, start=number):
+                    journal.add(k, line)
+                    if progress is not None:
+                        progress(journal.finished, len(paths))
+        readable = any(line["status"] != UNREADABLE for line in journal)
+        if not readable and len(paths):
             reason = journal[0]["reasons"][0]
             journal.remove()
             raise InputError(reason)
@@ -106,6 +120,16 @@ def run_files(
             write_entries(output, f"optshape/{form}/1", (line["entry"] for line in journal))
         yield journal
         journal.remove()
+
+
+def _chunks(journal: Journal, paths: Sequence[str], size: int) -> Iterator[tuple[int, tuple[str, ...]]]:
+    """Yield each chunk of so many files that is not finished: the number of its first file, and all its paths."""
+
+    def first(number: int) -> int:
+        return number - number % size
+
+    for number, _ in groupby(journal.todo(), first):
+        yield number, tuple(paths[number : number + size])
 
 
 def write_entries(path: Path, schema: str, entries: Iterator[str]) -> None:

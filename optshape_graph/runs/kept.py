@@ -7,8 +7,9 @@ and passes the `kept` that it yields down; the library calls `kept(...)` for eac
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from threading import Lock
 from typing import Any, TypeVar
@@ -48,13 +49,33 @@ class Kept:
             EstimationError: from `make`; it is kept like a result.
             InputError: from `make`; or the journal cannot be written, or is damaged.
         """
+        (found,) = self.together(kind, [of], lambda: [_caught(make)])
+        if isinstance(found, EstimationError):
+            raise found
+        return found
+
+    def together(
+        self, kind: Any, steps: Sequence[Mapping[str, Any]], make: Callable[[], Sequence[T | EstimationError]]
+    ) -> list[T | EstimationError]:
+        """Return the kept results of steps that are made together; all are made again where one is not kept.
+
+        Args:
+            kind: type of the results.
+            steps: all inputs of each.
+            make: makes the results of all, or the errors, which are kept likewise.
+
+        Raises:
+            InputError: from `make`; or the journal cannot be written, or is damaged.
+        """
         if self._journal is None:
-            return make()
-        key = digest({"kind": str(kind), **{name: to_record(value) for name, value in of.items()}})
-        if key not in self._tasks:
-            self._add(key, _line_of(make))
-        restored: T = self._restored(kind, key)
-        return restored
+            return list(make())
+        keys = [digest({"kind": str(kind), **{name: to_record(value) for name, value in of.items()}}) for of in steps]
+        if any(key not in self._tasks for key in keys):
+            for key, made in zip(keys, make(), strict=True):
+                if key not in self._tasks:
+                    failed = isinstance(made, EstimationError)
+                    self._add(key, {"failed": str(made)} if failed else {"made": to_record(made)})
+        return [_caught(partial(self._restored, kind, key)) for key in keys]
 
     def _add(self, key: str, line: dict[str, Any]) -> None:
         assert self._journal is not None
@@ -72,11 +93,11 @@ class Kept:
         return from_record(kind, line.get("made"), f"{self._journal.path}: line {self._tasks[key] + 2}")
 
 
-def _line_of(make: Callable[[], Any]) -> dict[str, Any]:
+def _caught(make: Callable[[], T]) -> T | EstimationError:
     try:
-        return {"made": to_record(make())}
+        return make()
     except EstimationError as error:
-        return {"failed": str(error)}
+        return error
 
 
 @contextmanager

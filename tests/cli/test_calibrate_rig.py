@@ -7,6 +7,7 @@ import yaml
 from click.testing import CliRunner
 
 from optshape_graph.cli.main import cli
+from optshape_graph.errors import OptshapeError
 from optshape_graph.evaluation.rigs import SimulatedRig, placements, two_targets, write_rig_session
 
 
@@ -53,42 +54,102 @@ def test_writes_everything(session, tmp_path):
     assert "Calibration of a rig" in (out / "rig.html").read_text()
 
 
-def test_sensors_that_nothing_connects(session):
-    def apart(document):
-        for view in document["views"]:
-            if view.get("camera"):
-                view["stamp"] += 1000.0
-
-    result = run(changed(session, apart, "apart.yaml"), "--use-target-points")
-    assert "nothing connects 'left' with 'front', 'rear'" in str(result.exception)
-    assert "are the stamps of one clock?" in str(result.exception)
+def of(sensor, document):
+    """The views of one sensor."""
+    return [view for view in document["views"] if sensor in (view.get("lidar"), view.get("camera"))]
 
 
-def test_one_placement_only(session):
-    def first(document):
-        document["views"] = [v for v in document["views"] if v["stamp"] == 0 and v["targets"] == ["A"]]
+def shift(sensor, seconds):
+    def change(document):
+        for view in of(sensor, document):
+            view["stamp"] += seconds
 
-    result = run(changed(session, first, "first.yaml"), "--use-target-points")
-    assert "one placement only" in str(result.exception)
-
-
-def test_one_sensor_is_no_rig(session):
-    def alone(document):
-        document["lidars"], document["cameras"] = {"front": document["lidars"]["front"]}, {}
-        document["views"] = [v for v in document["views"] if v.get("lidar") == "front"]
-
-    result = run(changed(session, alone, "alone.yaml"), "--use-target-points")
-    assert "a rig is of two sensors at least; the session names front alone" in str(result.exception)
+    return change
 
 
-def test_a_sensor_file_of_another_model(session):
-    def other(document):
-        document["lidars"]["rear"] = "vlp16"
+def connected_by_nothing(document):
+    document["views"] = [view for view in document["views"] if (view in of("left", document)) == (view["stamp"] > 2)]
 
-    result = run(changed(session, other, "other.yaml"), "--use-target-points")
-    assert result.return_value == 3
-    assert "scans skipped: unusable file" in result.output
-    assert "Not usable: " in result.output
+
+def one_placement(document):
+    document["views"] = [view for view in document["views"] if view["stamp"] == 0 and view["targets"] == ["A"]]
+
+
+def one_sensor(document):
+    document["lidars"], document["cameras"] = {"front": document["lidars"]["front"]}, {}
+    document["views"] = of("front", document)
+
+
+def without_stamps(document):
+    for view in document["views"]:
+        del view["stamp"]
+
+
+def missing_file(document):
+    of("left", document)[0]["image"] = "no.csv"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (shift("rear", 1), "the stamps of 'rear' are 1 s ahead of those of 'front', 'left': "),
+        (shift("left", -1), "the stamps of 'left' are 1 s behind those of 'front', 'rear': "),
+        (shift("front", 37.4), "the stamps of 'front' are 37.4 s ahead of those of 'rear', 'left': "),
+        (shift("left", -1e9), "the stamps of 'left' are 1e+09 s behind those of 'front', 'rear': "),
+        (connected_by_nothing, "nothing connects 'left' with 'front', 'rear': "),
+        (one_placement, "one placement only (00_front_A.pcd); a rig calibration needs two at least"),
+        (one_sensor, "a rig is of two sensors at least; the session names front alone"),
+        (without_stamps, "no view has a 'stamp': those of one stamp see the same scene"),
+        (missing_file, "image: no such file: "),
+        (
+            lambda document: document["lidars"].update(rear="vlp16"),
+            "the sensor file of 'rear' (vlp16) is of another model: it is for vlp16, and 9 of 10 scans do not fit its "
+            "elevations; 00_rear_A.pcd: the cloud has 19 rings, the sensor 16",
+        ),
+    ],
+)
+def test_sessions_that_are_refused_in_one_line(session, change, message):
+    """What is wrong is named, and the session's file with it."""
+    path = changed(session, change, "refused.yaml")
+    error = run(path, "--use-target-points").exception
+    assert isinstance(error, OptshapeError)
+    assert str(error).startswith(f"{path}:")
+    assert message in str(error)
+    assert "\n" not in str(error)
+
+
+def test_a_file_that_is_empty_is_named(session):
+    def empty(document):
+        (session.parent / "empty.pcd").write_text("")
+        of("rear", document)[0].update(scan="empty.pcd", target_points="empty.pcd")
+
+    result = run(changed(session, empty, "with_empty.yaml"), "--use-target-points")
+    assert result.return_value == 0
+    assert "1 file of the session cannot be used; the first: " in result.output
+    assert "empty.pcd" in result.output
+
+
+def test_vertices_numbered_backwards_are_named(session):
+    def backwards(document):
+        target = yaml.safe_load((session.parent / "A.target.yaml").read_text())
+        target["vertices"] = target["vertices"][::-1]
+        (session.parent / "backwards.target.yaml").write_text(yaml.safe_dump(target))
+        document["targets"]["A"] = "backwards.target.yaml"
+
+    error = run(changed(session, backwards, "turned.yaml"), "--use-target-points").exception
+    assert "backwards.target.yaml:" in str(error)
+    assert "vertices run clockwise; expected counter-clockwise" in str(error)
+
+
+def test_targets_that_moved_though_they_were_said_to_stay_are_named_once(session):
+    def static(document):
+        document["targets"] = {name: {"target": file, "static": True} for name, file in document["targets"].items()}
+
+    result = run(changed(session, static, "static.yaml"), "--use-target-points")
+    assert result.return_value == 0
+    for name in "AB":
+        said = f"target '{name}' was said to stay, but moved 4 times, first by "
+        assert result.output.replace("\n", " ").count(said) in (1, 2)  # the first is in the verdict, too
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from optshape_graph import EstimationError, InputError, Scan, Target
 from optshape_graph.detection import DetectionOptions
-from optshape_graph.detection.segments import Borders, find_borders, order_scan
+from optshape_graph.detection.segments import Borders, find_borders, find_runs, order_scan
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.simulation import Box, Patch, Surface
 from tests.detection.scenes import BOARD, plain, pose, scan_of
@@ -94,7 +94,7 @@ def test_near_finds_what_a_look_at_every_return_would(seed: int, reach: float) -
 def ends_of_panel(*things: Surface) -> Borders:
     simulated = scan_of(plain(VLP32C), [(SQUARE, pose(6, 0, 0))], *things)
     ordered = order_scan(simulated.scan, OPTIONS)
-    return find_borders(ordered, np.flatnonzero(simulated.surface[ordered.index] == 0))
+    return find_borders(ordered, find_runs(ordered, np.flatnonzero(simulated.surface[ordered.index] == 0)).ends)
 
 
 def test_free_ends() -> None:

@@ -47,6 +47,18 @@ def test_entries_are_the_columns(sensor: str, distance: float, rings: bool) -> N
     np.testing.assert_allclose(R.T @ R, expected.T @ expected, rtol=0, atol=1e-12 * float((expected**2).sum()))
 
 
+@pytest.mark.parametrize("rings", [True, False])
+def test_the_order_of_returns_does_not_matter(rings: bool) -> None:
+    """Nor that a ring has a single return."""
+    scan = near("vlp16", 8.0)
+    assert scan.ring is not None
+    scan = scan.select(np.flatnonzero((scan.ring != scan.ring[0]) | (np.arange(len(scan)) == 0)))
+    returns = with_all_errors(scan if rings else Scan(points=scan.points, sensor=scan.sensor))
+    shuffled = returns.select(np.random.default_rng(0).permutation(len(scan)))
+    R, expected = plane_measurement(shuffled).stack, plane_measurement(returns).stack
+    np.testing.assert_allclose(R.T @ R, expected.T @ expected, rtol=0, atol=1e-12 * float((expected**2).sum()))
+
+
 def test_a_return_knows_its_rings_errors() -> None:
     scan = near("vlp16", 8.0)
     returns = with_all_errors(scan)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optshape_graph.factors._rows import FEW, _by_parts, compressed, triangular, triangular_by_parts
+from optshape_graph.factors._rows import _by_parts, triangular, triangular_by_parts
 
 
 @given(
@@ -59,17 +59,3 @@ def test_large_stacks_are_reduced_by_parts() -> None:
     stack = np.random.default_rng(0).normal(size=(3000, 90)) * (np.arange(90) % 7 > 0)
     np.testing.assert_array_equal(triangular_by_parts(stack, 77), _by_parts(stack, 77))
     np.testing.assert_array_equal(triangular_by_parts(stack[:90], 77), triangular(stack[:90]))
-
-
-@given(st.integers(1, 40), st.integers(1, 4), st.integers(1, 3000), st.integers(0, 2**32 - 1))
-def test_rows_of_a_group_are_reduced_to_the_same_form(groups: int, j: int, m: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    group = rng.integers(0, groups, (groups, j))[rng.integers(0, groups, m)]
-    stack = rng.normal(size=(m, 9))
-    rows, of = compressed(stack, group)
-    assert len(rows) == len(of) <= m
-    for one in np.unique(group, axis=0):
-        before, after = stack[(group == one).all(axis=1)], rows[(of == one).all(axis=1)]
-        np.testing.assert_allclose(after.T @ after, before.T @ before, atol=1e-12 * max(1.0, float((stack**2).sum())))
-    if m * 9 * group.max() > FEW:
-        assert len(rows) <= 9 * groups

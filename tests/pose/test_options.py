@@ -10,7 +10,7 @@ from optshape_graph import EstimationError, InputError, Scan
 from optshape_graph.edges import extract_edge_points
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import PoseOptions, certify, estimate_pose
-from optshape_graph.pose.firings import Firings
+from optshape_graph.pose.sampling.firings import Firings
 from optshape_graph.se3 import inverse
 from optshape_graph.simulation import IDEAL, pose_from_rpy, simulate_target
 from tests.pose.clouds import errors, simulated

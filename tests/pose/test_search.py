@@ -46,7 +46,7 @@ def test_a_grid_finds_no_other_mode(group: str, index: int) -> None:
     With two rings a mode can be wider than 25 deg: what is as near to a pose that belongs to it belongs to it too.
     """
     scan, target, _ = draw(group, SEED, index)
-    evidence = measure(scan, target, PoseOptions())
+    (evidence,) = measure([scan], [target], PoseOptions())
     density = scan_log_likelihood(evidence)
     grid = grid_of(evidence)
     likely = np.full(len(grid), -np.inf)
@@ -69,7 +69,7 @@ def test_the_truth_is_among_the_candidates() -> None:
     missed = []
     for group, index in product(GROUPS, range(20)):
         scan, target, T = draw(group, SEED, index)
-        found = inverse(find_candidates([measure(scan, target, PoseOptions())])[0].T_target_lidar)
+        found = inverse(find_candidates(measure([scan], [target], PoseOptions()))[0].T_target_lidar)
         if not same_mode(found, T, target).any():
             missed.append((group, index))
     assert not missed

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -21,12 +23,21 @@ ROOT = Path(__file__).resolve().parents[2]
 MANY = 2_000 if os.environ.get("FAULTS", "1") == "1" else 100_000
 
 
-def look(path: str) -> Outcome:
-    """A result as large as that of a scan."""
-    status = UNREADABLE if path.endswith("bad") else "ok"
-    return Outcome(
-        status, () if status == "ok" else (f"{path}: bad",), {"scan": path, "numbers": [len(path) / 7] * 200}
-    )
+def look(paths: Sequence[str]) -> list[Outcome]:
+    """Results as large as those of scans, which show what was looked at together."""
+    found = []
+    for path in paths:
+        status = UNREADABLE if path.endswith("bad") else "ok"
+        entry = {"scan": path, "numbers": [len(path) / 7] * 200, "together": list(paths)}
+        found.append(Outcome(status, () if status == "ok" else (f"{path}: bad",), entry))
+    return found
+
+
+def look_and_die(paths: Sequence[str]) -> list[Outcome]:
+    """Whoever looks at one of the files is killed."""
+    if "scan_5" in paths:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return look(paths)
 
 
 def failed(path: str, reason: str) -> Outcome:
@@ -63,6 +74,32 @@ def test_a_run_that_broke_off_goes_on(tmp_path: Path) -> None:
     seen: list[int] = []
     assert document(paths, output, progress=lambda done, total: seen.append(done)) == whole
     assert seen == [4, 5, 6, 7, 8, 9, 10]
+
+
+@pytest.mark.parametrize("stopped_at", [1, 7, 8, 30])
+def test_files_that_are_looked_at_together_are_so_again(tmp_path: Path, stopped_at: int) -> None:
+    paths = [f"scan_{k}" for k in range(70)]
+    whole = document(paths, tmp_path / "whole.json", at_once=10)
+    together = [scan["together"] for scan in json.loads(whole)["scans"]]
+    assert together == [paths[k - k % 4 : k - k % 4 + 4] for k in range(70)]  # 16 chunks and more
+    assert document(paths, tmp_path / "two.json", at_once=10, pool=Pool(2)) == whole
+
+    def broken(done: int, total: int) -> None:
+        if done == stopped_at:
+            raise KeyboardInterrupt
+
+    output = tmp_path / "a.json"
+    with pytest.raises(KeyboardInterrupt):
+        document(paths, output, at_once=10, progress=broken)
+    assert document(paths, output, at_once=10) == whole
+
+
+def test_a_file_that_kills_costs_none_of_those_beside_it(tmp_path: Path) -> None:
+    paths = [f"scan_{k}" for k in range(40)]
+    run = run_files(look_and_die, paths, failed, form="estimate", describe={}, pool=Pool(2), at_once=10)
+    with run as journal:
+        statuses = [line["status"] for line in journal]
+    assert statuses == ["failed" if path == "scan_5" else "ok" for path in paths]
 
 
 def test_files_that_have_changed_are_another_run(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ def is_listed(scan: Scan, target: Target, T_true: np.ndarray) -> bool:
         from optshape_graph.pose.options import PoseOptions
     except ImportError:
         return True
-    found = find_candidates([measure(scan, target, PoseOptions())])[0].T_target_lidar
+    found = find_candidates(measure([scan], [target], PoseOptions()))[0].T_target_lidar
     return any(of_mode(nearest_error(target, np.linalg.inv(T), T_true), target) for T in found)
 
 

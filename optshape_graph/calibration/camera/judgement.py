@@ -6,7 +6,7 @@ import numpy as np
 
 from optshape_graph.calibration.camera.consistency import of_view, pose_alone
 from optshape_graph.calibration.camera.graph import Unknowns
-from optshape_graph.calibration.camera.lens import LensCheck
+from optshape_graph.calibration.camera.lens import LensChange, LensCheck
 from optshape_graph.calibration.camera.observability import parallel_planes
 from optshape_graph.calibration.camera.result import CameraCalibration
 from optshape_graph.calibration.camera.sides import sides_in_images
@@ -32,10 +32,6 @@ SIGMAS = 2.5
 
 MOST_DISCREPANCY = (3.0, 0.02)
 """Scatter beyond the noise, deg and metres, that a real sensor and a bent board make at most."""
-
-LENS_OFF = 0.005
-"""Shift of the principal point, in widths of the image, or half the change of a focal length, in its value, beyond
-which a lens is called another than the given one."""
 
 LOOSE = (0.03, 0.1)
 """Standard deviation of a pair's worst direction, metres, or rad times the targets' distance: of the most likely
@@ -211,15 +207,12 @@ def _of_lens(result: CameraCalibration, lens: LensCheck) -> list[Finding]:
                 f"{text}; calibrate the camera again, or let its lens be refined", 2 * lens.refined_rms_px < lens.rms_px
             )
         ]
-    before, after = (np.asarray(rig.cameras[lens.camera].K) for rig in (result.given, result.rig))
-    moved = float(np.linalg.norm(after[:2, 2] - before[:2, 2]))
-    stretched = float(np.abs(np.diag(after)[:2] / np.diag(before)[:2] - 1).max())
-    width = result.rig.cameras[lens.camera].width
-    far = moved > LENS_OFF * width or stretched > 2 * LENS_OFF
+    change = LensChange.of(result.given.cameras[lens.camera], result.rig.cameras[lens.camera])
+    far = change.far
     text += f"{';' if lens.contradicted else ''} refined"
     text += (
-        f", its principal point moves by {moved:.1f} px and its focal length by {100 * stretched:.2f} %, and "
-        f"T_camera_lidar belongs to the refined lens ('cameras'); T_camera_lidar_given_lens is for the given one"
+        f", {change.text}, and T_camera_lidar belongs to the refined lens ('cameras'); T_camera_lidar_given_lens is "
+        "for the given one"
     )
     if not lens.contradicted:  # as it was asked for
         return [Finding(f"{text}; calibrate the camera again", False)] if far else []

@@ -14,6 +14,7 @@ from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import whitened_errors
 from optshape_graph.calibration.images.projection import project
 from optshape_graph.calibration.images.reading import TargetInImage
+from optshape_graph.camera import CameraIntrinsics
 from optshape_graph.errors import InputError
 from optshape_graph.se3 import apply
 
@@ -25,6 +26,39 @@ FALSE_ALARM = 1e-6
 
 WORTHWHILE = 0.9
 """Share to which the corners' errors must fall at least: what helps less is not worth another lens."""
+
+LENS_OFF = 0.005
+"""Shift of the principal point, in widths of the image, or half the change of a focal length, in its value, beyond
+which a lens is called another than the given one."""
+
+
+@dataclass(frozen=True)
+class LensChange:
+    """How a refined lens differs from the given one.
+
+    Attributes:
+        moved_px: shift of the principal point, pixels.
+        stretched: largest change of a focal length, in shares of it.
+        far: whether it is another lens.
+    """
+
+    moved_px: float
+    stretched: float
+    far: bool
+
+    @classmethod
+    def of(cls, given: CameraIntrinsics, refined: CameraIntrinsics) -> LensChange:
+        """Compare two lenses of one camera."""
+        moved = float(np.linalg.norm(refined.K[:2, 2] - given.K[:2, 2]))
+        stretched = float(np.abs(np.diag(refined.K)[:2] / np.diag(given.K)[:2] - 1).max())
+        return cls(moved, stretched, moved > LENS_OFF * given.width or stretched > 2 * LENS_OFF)
+
+    @property
+    def text(self) -> str:
+        """The change in words."""
+        return (
+            f"its principal point moves by {self.moved_px:.1f} px and its focal length by {100 * self.stretched:.2f} %"
+        )
 
 
 @dataclass(frozen=True)

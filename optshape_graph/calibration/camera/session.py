@@ -17,7 +17,7 @@ from optshape_graph.calibration.camera.crops import planar_returns
 from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.images.reading import ImageTask, TargetInImage, find_targets
 from optshape_graph.detection import detect_targets
-from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.errors import AnotherSensorError, EstimationError, InputError
 from optshape_graph.factors import EDGE_OFFSET, OF_RANGES, OF_RINGS, BiasedMeasurement, SharedError
 from optshape_graph.factors._rows import triangular
 from optshape_graph.io import Session, read_scan
@@ -65,8 +65,8 @@ def read_views(
         kept: what a run that was stopped found, and this one finds; None: it is not kept.
 
     Raises:
-        InputError: what `check_session` says; crops that were asked for are missing; or the intrinsics fit half of the
-            images or fewer.
+        InputError: what `check_session` says; crops that were asked for are missing; the intrinsics fit half of the
+            images or fewer; or the sensor file of a LiDAR is of another model.
         EstimationError: no image, or no scan, shows a target; the message has the reason of each.
     """
     check_session(session)
@@ -110,7 +110,8 @@ def read_files(
         kept: what a run that was stopped found, and this one finds; None: it is not kept.
 
     Raises:
-        InputError: crops that were asked for are missing; or the intrinsics fit half of the images or fewer.
+        InputError: crops that were asked for are missing; the intrinsics fit half of the images or fewer; or the
+            sensor file of a LiDAR is of another model.
         EstimationError: no image, though there are some, shows a target; the message has the reason of each.
     """
     of_images, of_scans = image_tasks(session), scan_tasks(session, use_target_points)
@@ -280,7 +281,7 @@ def read_scans(
     """Find targets in scans, by file, LiDAR and target.
 
     Raises:
-        InputError: a file that cannot be read.
+        InputError: the sensor file of a LiDAR is another model's: half of its scans or more do not fit it.
     """
     results: dict[ScanKey, ScanResult] = {}
     for (path, lidar), names in tasks.items():
@@ -288,7 +289,20 @@ def read_scans(
         for name, result in _in_scan(path, session.lidars[lidar], lidar, targets, are_crops, unused, kept).items():
             results[path, lidar, name] = result
         tick()
+    for lidar in session.lidars:
+        _check_model(session, lidar, {path: one for (path, of, _), one in results.items() if of == lidar})
     return results
+
+
+def _check_model(session: Session, lidar: str, results: Mapping[Path, ScanResult]) -> None:
+    unfit = [one for one in results.values() if isinstance(one, AnotherSensorError)]
+    if unfit and 2 * len(unfit) >= len(results):
+        path, of = session.path, session.lidars[lidar]
+        raise InputError(
+            f"{path}: the sensor file of '{lidar}' ({session.sensor_files.get(lidar, of.name)}) is of another model: "
+            f"it is for {of.name}, and {len(unfit)} of {len(results)} scans do not fit its elevations; "
+            f"{relative_to(session, Path(unfit[0].name))}: {unfit[0].found}"
+        )
 
 
 def _in_scan(

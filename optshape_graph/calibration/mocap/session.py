@@ -17,9 +17,10 @@ from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import Mocap, Session, View
-from optshape_graph.pose import PoseEstimate, estimate_pose
+from optshape_graph.pose import PoseEstimate, estimate_poses
 from optshape_graph.runs.files import fingerprint
 from optshape_graph.runs.kept import Kept
+from optshape_graph.scan import Scan
 from optshape_graph.target import Target
 
 
@@ -60,53 +61,69 @@ def load_mocap_scans(
     passed_over = PassedOver() if passed_over is None else passed_over
     for reason, count in session.mocap.markers.passed_over.items():
         passed_over.skip("markers", reason, count)
-    used: list[MocapScan] = []
-    left_out: list[LeftOut] = []
-    for done, view in enumerate(session.views):
-        progress(done, len(session.views))
-        folder = session.path.parent
-        name = str(view.cloud.relative_to(folder) if view.cloud.is_relative_to(folder) else view.cloud)
-        scan = _estimated(name, view, session, target, checked, passed_over, kept or Kept())
-        if isinstance(scan, LeftOut):
-            left_out.append(scan)
-        else:
-            used.append(scan)
-    progress(len(session.views), len(session.views))
-    return tuple(used), tuple(left_out), checked
+    results: dict[int, MocapScan | LeftOut] = {}
+    views, kept = session.views, kept or Kept()
 
-
-def _estimated(
-    name: str,
-    view: View,
-    session: Session,
-    target: Target,
-    checked: CheckedMarkers,
-    passed_over: PassedOver,
-    kept: Kept,
-) -> MocapScan | LeftOut:
-    def left_out(kind: str, reason: str) -> LeftOut:
+    def leave_out(number: int, name: str, kind: str, reason: str) -> None:
         passed_over.skip("scans", kind)
-        return LeftOut(name, reason)
+        results[number] = LeftOut(name, reason)
 
+    for first in range(0, len(views), AT_ONCE):
+        seen: dict[int, Scan] = {}
+        for number, view in enumerate(views[first : first + AT_ONCE], start=first):
+            progress(number, len(views))
+            folder = session.path.parent
+            name = str(view.cloud.relative_to(folder) if view.cloud.is_relative_to(folder) else view.cloud)
+            if objection := _objection(view, checked):
+                leave_out(number, name, *objection)
+                continue
+            path = view.target_points or view.cloud
+            returns = read_scan(path, session.lidars[view.lidar], unused=passed_over.unused("scans"))
+            seen[number] = replace(returns, name=name)
+        for (number, returns), estimate in zip(seen.items(), _estimates(seen, session, target, kept), strict=True):
+            if isinstance(estimate, EstimationError):
+                leave_out(number, returns.name, "no pose found", str(estimate))
+            elif estimate.status in ("failed", "ambiguous"):  # a doubtful one is judged by the other scans
+                leave_out(number, returns.name, "no pose found", f"{estimate.status}: {estimate.reason}")
+            else:
+                frame = views[number].mocap_frame
+                assert frame is not None  # or there was an objection
+                results[number] = MocapScan(returns.name, estimate, checked.frames[frame], frame, returns)
+    progress(len(views), len(views))
+    in_order = [one for _, one in sorted(results.items(), key=lambda item: item[0])]
+    used = tuple(one for one in in_order if isinstance(one, MocapScan))
+    return used, tuple(one for one in in_order if isinstance(one, LeftOut)), checked
+
+
+AT_ONCE = 16
+"""Scans whose poses are estimated at once."""
+
+
+def _objection(view: View, checked: CheckedMarkers) -> tuple[str, str] | None:
+    """Return why a view's markers cannot be used, in a word or two and in full; None where they can."""
     frame = view.mocap_frame
     if frame is None:
-        return left_out("no marker frame", "the session gives it no mocap_frame")
+        return "no marker frame", "the session gives it no mocap_frame"
     if frame in checked.left_out:
-        return left_out("markers that contradict the target", checked.left_out[frame])
-    markers = checked.frames[frame]
-    seen = int(np.isfinite(markers).all(axis=1).sum())
+        return "markers that contradict the target", checked.left_out[frame]
+    seen = int(np.isfinite(checked.frames[frame]).all(axis=1).sum())
     if seen < MIN_MARKERS:
-        return left_out("too few markers", f"frame {frame} shows {seen} markers; {MIN_MARKERS} are needed")
-    path, sensor = view.target_points or view.cloud, session.lidars[view.lidar]
-    returns = replace(read_scan(path, sensor, unused=passed_over.unused("scans")), name=name)
-    of = {"scan": fingerprint([str(path)]), "name": name, "sensor": sensor, "target": target}
-    try:
-        estimate = kept(PoseEstimate, of, lambda: estimate_pose(returns, target))
-    except EstimationError as error:
-        return left_out("no pose found", str(error))
-    if estimate.status in ("failed", "ambiguous"):  # a doubtful one is judged by the other scans
-        return left_out("no pose found", f"{estimate.status}: {estimate.reason}")
-    return MocapScan(name, estimate, markers, frame, returns)
+        return "too few markers", f"frame {frame} shows {seen} markers; {MIN_MARKERS} are needed"
+    return None
+
+
+def _estimates(
+    seen: Mapping[int, Scan], session: Session, target: Target, kept: Kept
+) -> list[PoseEstimate | EstimationError]:
+    """Estimate the poses of a target in the scans of views, by their numbers, all at once."""
+    steps = [
+        {
+            "scan": fingerprint([str(view.target_points or view.cloud)]), "name": returns.name,
+            "sensor": session.lidars[view.lidar], "target": target,
+        }
+        for view, returns in ((session.views[number], returns) for number, returns in seen.items())
+    ]  # fmt: skip
+    return kept.together(PoseEstimate, steps, lambda: estimate_poses(list(seen.values()), target))
 
 
 def of_vertices(frame: Mapping[str, Floats], names: Sequence[str]) -> Floats:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.calibration.camera.lens import LensCheck, check_lenses
+from optshape_graph.calibration.camera.lens import LensChange, LensCheck, check_lenses
 from optshape_graph.calibration.camera.noise import noise_factors, scaled
 from optshape_graph.calibration.camera.session import Progress
 from optshape_graph.calibration.camera.sightings import TargetInScan
@@ -22,24 +22,29 @@ from optshape_graph.calibration.rig.judgement import (
     doubts,
     judge,
     middle_of,
-    moved_targets,
     scatter_of,
     widening,
 )
 from optshape_graph.calibration.rig.left_out import Off, left_out
+from optshape_graph.calibration.rig.moved import moved_about_platform, moved_before_platform
 from optshape_graph.calibration.rig.moving import Clocks, connect, solve_moving
 from optshape_graph.calibration.rig.next_placement import suggest_placement
 from optshape_graph.calibration.rig.reading import Read, read_sightings
 from optshape_graph.calibration.rig.result import RigCalibration, RigSensor, RingError, SightingResult
 from optshape_graph.calibration.rig.robust import solve_robustly
 from optshape_graph.calibration.rig.sightings import Kind, Sighting
+from optshape_graph.calibration.rig.stamps import shifted_stamps
 from optshape_graph.calibration.rig.start import Start, connected_by, find_start
 from optshape_graph.calibration.verdict import Finding
+from optshape_graph.errors import EstimationError, UnobservableError
 from optshape_graph.factors import RANGE_BIAS
 from optshape_graph.io.passed_over import PassedOver
 from optshape_graph.io.sessions import About, Session, load_session
 from optshape_graph.runs.kept import Kept
-from optshape_graph.se3 import adjoint, inverse
+from optshape_graph.se3 import inverse
+
+MANY = 0.1
+"""Share of the sightings that contradict the others from which stamps may be shifted."""
 
 
 def calibrate_rig(
@@ -104,7 +109,7 @@ def calibrate(read: Read, session: Session, options: Options | None = None) -> R
         next_placement=None,
         findings=rig.findings,
     )
-    result = replace(result, next_placement=suggest_placement(result, solved, _information(solved)))
+    result = replace(result, next_placement=suggest_placement(result, solved))
     used = [start.sightings[number] for number in solved.chi2]
     return replace(result, findings=(*rig.findings, *judge(result, doubts(used), freedom)))
 
@@ -136,15 +141,31 @@ class SolvedRig(Value):
 
 def solve_rig(read: Read, session: Session, options: Options) -> SolvedRig:
     """Connect a rig's sensors, and solve its graph; see `calibrate`."""
+    try:
+        return _solve_rig(read, session, options)
+    except EstimationError as error:
+        where = f"{session.path}: "
+        if shifted := shifted_stamps([s for s in read.sightings if not s.moving], session.platform_moves):
+            raise EstimationError(where + shifted) from error
+        text = where + str(error).removeprefix(where)
+        if isinstance(error, UnobservableError):
+            raise UnobservableError(text, error.directions) from error
+        raise EstimationError(text) from error
+
+
+def _solve_rig(read: Read, session: Session, options: Options) -> SolvedRig:
     sightings, findings = _with_pixel_noise(read.sightings), list[Finding]()
+    if read.unusable:
+        count, first = len(read.unusable), read.unusable[0]
+        text = f"{count} file{'s' if count > 1 else ''} of the session cannot be used; the first: {first}"
+        findings.append(Finding(text, False))
     check_numbers(sightings, str(session.path))
     check_sensors(read, str(session.path))
     lenses = check_lenses(s.seen for s in sightings if isinstance(s.seen, TargetInImage))
-    findings += _of_lenses(lenses)
     moving = [sighting for sighting in sightings if sighting.moving]
     still = [sighting for sighting in sightings if not sighting.moving]
     if not session.platform_moves:
-        still, moved = moved_targets(still)
+        still, moved = moved_before_platform(still)
         findings += moved
     # Clocks are told against that of a sensor that saw something move.
     base = moving[0].sensor if moving and all(s.sensor != read.sensors[0] for s in moving) else read.sensors[0]
@@ -156,11 +177,17 @@ def solve_rig(read: Read, session: Session, options: Options) -> SolvedRig:
         places, offsets, moving = connect(moving, base, places)
     start = find_start(still, base, places, session.platform_moves, sensors)
     graph = RigGraph(start, base, options, free_lenses=frozenset(lens.camera for lens in lenses if lens.contradicted))
+    if session.platform_moves:
+        graph, moved = moved_about_platform(graph)
+        findings += moved
     if moving:
         solved, clocks = solve_moving(graph, moving, offsets)
-        return SolvedRig(sensors, solved, {}, clocks, tuple(findings))
+        return SolvedRig(sensors, solved, {}, clocks, (*findings, *_of_lenses(lenses, solved)))
     solved, left = solve_robustly(graph)
-    return SolvedRig(sensors, solved, left, Clocks(), (*findings, *_of_discrepancies(solved)))
+    if len(left) > MANY * len(still) and (shifted := shifted_stamps(still, session.platform_moves)):
+        findings.append(Finding(shifted, True))
+    findings += [*_of_lenses(lenses, solved), *_of_discrepancies(solved)]
+    return SolvedRig(sensors, solved, left, Clocks(), tuple(findings))
 
 
 def _of_discrepancies(solved: RigSolution) -> list[Finding]:
@@ -183,16 +210,22 @@ def _with_pixel_noise(sightings: Sequence[Sighting]) -> list[Sighting]:
     ]
 
 
-def _of_lenses(lenses: Sequence[LensCheck]) -> list[Finding]:
-    return [
-        Finding(
-            f"the images of '{lens.camera}' contradict its lens as given ({lens.rms_px:.2f} px, "
-            f"{lens.refined_rms_px:.2f} with another): it was refined, and the result belongs to the refined lens",
-            False,
-        )
-        for lens in lenses
-        if lens.contradicted
-    ]
+def _of_lenses(lenses: Sequence[LensCheck], solved: RigSolution) -> list[Finding]:
+    """Say which lenses were refined, and forbid to trust those that became another."""
+    given = {
+        s.seen.camera.name: s.seen.camera for s in solved.graph.start.sightings if isinstance(s.seen, TargetInImage)
+    }
+    findings = []
+    for lens in lenses:
+        if lens.contradicted and lens.camera in given:
+            change = LensChange.of(given[lens.camera], solved.lens(given[lens.camera]))
+            text = (
+                f"the images of '{lens.camera}' contradict its lens as given ({lens.rms_px:.2f} px, "
+                f"{lens.refined_rms_px:.2f} with another): it was refined, {change.text}, and the result belongs to "
+                f"the refined lens{'; calibrate the camera again' if change.far else ''}"
+            )
+            findings.append(Finding(text, change.far))
+    return findings
 
 
 def _about(base: str, initial: Sequence[About]) -> dict[str, Floats]:
@@ -255,15 +288,3 @@ def _result(sighting: Sighting, used: bool, reason: str, off: Off | None) -> Sig
     return SightingResult(
         sighting.sensor, sighting.target.name, sighting.placement, sighting.file, used, reason, *numbers
     )
-
-
-def _information(solved: RigSolution) -> dict[int, Floats]:
-    """Of each sighting, by number, the information (6, 6) on its own T_sensor_target, right perturbation."""
-    found = {}
-    for number, link in solved.linked.items():
-        R = link.by_pose
-        sighting = solved.graph.start.sightings[number]
-        if sighting.relative:  # (T Exp(x))^-1 = T^-1 Exp(-Ad(T) x)
-            R = R @ adjoint(sighting.pose)
-        found[number] = R.T @ R
-    return found

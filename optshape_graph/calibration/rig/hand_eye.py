@@ -35,8 +35,22 @@ class Motion(NamedTuple):
     T_m_n: Floats
 
 
-def hand_eye(pairs: Sequence[tuple[Floats, Floats]]) -> Floats | None:
-    """Return X = T_a_b (4, 4) of motions A = X B X^-1 (4, 4) of two sensors; None where they do not tell it.
+class HandEye(NamedTuple):
+    """Where two sensors are, by how both moved.
+
+    Attributes:
+        T_a_b: (4, 4).
+        agree: number of motions that agree on it.
+        of: number of motions that turn enough to tell.
+    """
+
+    T_a_b: Floats
+    agree: int
+    of: int
+
+
+def hand_eye(pairs: Sequence[tuple[Floats, Floats]]) -> HandEye | None:
+    """Find X = T_a_b of motions A = X B X^-1 (4, 4) of two sensors; None where they do not tell it.
 
     A turns about an axis that X carries the axis of B to, by the same angle: Wahba's problem for the rotation; then
     (R_A - 1) t = R t_B - t_A for the translation (Park and Martin, IEEE T-RA 1994). Some motions may be wrong: the X of
@@ -57,7 +71,8 @@ def hand_eye(pairs: Sequence[tuple[Floats, Floats]]) -> Floats | None:
         X = _fitted(A[chosen], B[chosen])
         if X is not None and (agree := _agreeing(X, A, B)).sum() > best.sum():
             best = agree
-    return _fitted(A[best], B[best]) if best.sum() >= 2 else None
+    X = _fitted(A[best], B[best]) if best.sum() >= 2 else None
+    return None if X is None else HandEye(X, int(best.sum()), len(A))
 
 
 def _fitted(A: Floats, B: Floats) -> Floats | None:

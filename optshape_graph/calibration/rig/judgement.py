@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from scipy.stats import chi2
@@ -17,7 +15,6 @@ from optshape_graph.calibration.rig.result import RigCalibration, RingError
 from optshape_graph.calibration.rig.sightings import Sighting
 from optshape_graph.calibration.verdict import Finding, of_doubts
 from optshape_graph.errors import EstimationError
-from optshape_graph.se3 import angle, difference, inverse
 
 FEWEST, ENOUGH = 3, 8
 """Sightings that a sensor must have, and from which the result is not worth a warning."""
@@ -36,9 +33,6 @@ LOOSE = 0.1
 
 FOREIGN = 4.0
 """Mean square of a LiDAR's ring errors, in what its sensor file lets expect, from which the file is another's."""
-
-MOVED = (0.02, 40.0)
-"""Distance, metres, and squared distance in standard deviations by which a target that stays has moved at least."""
 
 
 def scatter_of(solved: RigSolution) -> tuple[float, int]:
@@ -156,51 +150,6 @@ def check_numbers(sightings: Sequence[Sighting], where: str) -> None:
                 f"{where}: the stamps of '{name}' run from {min(own):.3f} to {max(own):.3f} s, those of others from "
                 f"{min(others):.3f} to {max(others):.3f} s: of another clock?"
             )
-
-
-def moved_targets(sightings: Sequence[Sighting]) -> tuple[list[Sighting], list[Finding]]:
-    """Find targets that were said to stay and moved, on a platform that stands still.
-
-    Returns:
-        The sightings, those of a target after it moved being of another placement; and what was found.
-    """
-    tracks: dict[tuple[str, str], list[Sighting]] = {}
-    for sighting in sightings:
-        tracks.setdefault((sighting.placement, sighting.sensor), []).append(sighting)
-    broken: dict[str, dict[int, str]] = {}
-    for (placement, sensor), track in tracks.items():
-        moments = {s.moment: s for s in sorted(track, key=lambda s: s.moment)}
-        for before, after in pairwise(moments.values()):
-            distance, turn, square = _apart(before, after)
-            if distance > MOVED[0] and square > MOVED[1]:
-                text = (
-                    f"target '{placement}' was said to stay, but moved by {distance:.3f} m and {turn:.1f} deg between "
-                    f"{before.file} and {after.file} ('{sensor}'); from there on it is taken for placed anew"
-                )
-                broken.setdefault(placement, {}).setdefault(after.moment, text)
-    if not broken:
-        return list(sightings), []
-    split = [_split(sighting, broken.get(sighting.placement, {})) for sighting in sightings]
-    return split, [Finding(text, False) for texts in broken.values() for text in texts.values()]
-
-
-def _split(sighting: Sighting, moments: Mapping[int, str]) -> Sighting:
-    times = sum(moment <= sighting.moment for moment in moments)
-    return replace(sighting, placement=f"{sighting.placement}#{times + 1}") if times else sighting
-
-
-def _apart(a: Sighting, b: Sighting) -> tuple[float, float, float]:
-    """How far a target is from where it was, metres, degrees, and squared in standard deviations."""
-    A, B = a.candidates[0], b.candidates[0]
-    T = B.T_sensor_target
-    if a.relative:
-        T = a.target.nearest_equivalent(T, A.T_sensor_target)
-    else:
-        T = min(b.poses, key=lambda pose: float(angle(inverse(A.T_sensor_target) @ pose)))
-    x = difference(A.T_sensor_target, T)
-    # What is the LiDAR's own, both have; a centimetre and a degree stand for what their covariances leave out.
-    total = A.covariance + B.covariance + np.diag([np.radians(1.0) ** 2] * 3 + [0.01**2] * 3)
-    return float(np.linalg.norm(x[3:])), float(np.degrees(np.linalg.norm(x[:3]))), float(x @ np.linalg.solve(total, x))
 
 
 def doubts(sightings: Sequence[Sighting]) -> list[str]:

@@ -48,13 +48,9 @@ def predictions(solved: RigSolution) -> dict[int, tuple[Floats, Floats]]:
     Returns:
         How everything moves (n,), and the covariance (n, n) of that, in the unknowns' units: rad, metres, ...
     """
-    system, graph = solved.solution.system, solved.graph
-    n = system.A.shape[1]
-    if n > MOST_UNKNOWNS:
+    graph, information = solved.graph, dense_information(solved)
+    if information is None:
         return {}
-    information = system.information.toarray()
-    information[np.diag_indices(n)] *= 1 + WEAK
-    information[np.diag_indices(n)] += 1e-12
     groups: dict[tuple[str, int], list[int]] = {}
     for number in solved.linked:
         sighting = graph.start.sightings[number]
@@ -71,7 +67,7 @@ def left_out(solved: RigSolution) -> dict[int, Off]:
     columns, found = solved.solution.system.columns, {}
     for number, (predicted, spread) in predictions(solved).items():
         link = solved.linked[number]
-        rows = _rows(link, columns, len(predicted))
+        rows = rows_of(link, columns, len(predicted))
         residual, whole = link.d + rows @ predicted, np.eye(6) + rows @ spread @ rows.T
         chi_square = float(residual @ np.linalg.solve(whole, residual))
         xi = np.asarray(-np.linalg.lstsq(link.by_pose, residual, rcond=1e-9)[0], float)
@@ -80,11 +76,23 @@ def left_out(solved: RigSolution) -> dict[int, Off]:
     return found
 
 
+def dense_information(solved: RigSolution) -> Floats | None:
+    """Return the information (n, n) on all unknowns, with a vanishing prior; None where they are too many."""
+    system = solved.solution.system
+    n = system.A.shape[1]
+    if n > MOST_UNKNOWNS:
+        return None
+    information = np.asarray(system.information.toarray(), float)
+    information[np.diag_indices(n)] *= 1 + WEAK
+    information[np.diag_indices(n)] += 1e-12
+    return information
+
+
 def _of_placement(
     solved: RigSolution, information: Floats, numbers: Collection[int]
 ) -> dict[int, tuple[Floats, Floats]]:
     columns = solved.solution.system.columns
-    rows = {number: _rows(solved.linked[number], columns, len(information)) for number in numbers}
+    rows = {number: rows_of(solved.linked[number], columns, len(information)) for number in numbers}
     A, d = np.vstack(list(rows.values())), np.concatenate([solved.linked[number].d for number in numbers])
     # Where all rows are together the gradient vanishes; without these it is -A^T d.
     without = information - A.T @ A
@@ -108,7 +116,8 @@ def _of_placement(
     return found
 
 
-def _rows(link: Linked, columns: dict[int, slice], n: int) -> Floats:
+def rows_of(link: Linked, columns: dict[int, slice], n: int) -> Floats:
+    """Return a sighting's derivatives (6, n) by all unknowns."""
     rows = np.zeros((6, n))
     for key, block in zip(link.keys, link.blocks, strict=True):
         rows[:, columns[key]] += block

@@ -42,11 +42,13 @@ class Read(Value):
         sightings: in the order of the views.
         problems: of what could not be read or shows no target: its sensor, its file, and why.
         sensors: names of all sensors, LiDARs first, then cameras, then motion capture.
+        unusable: what is wrong with the files that cannot be read.
     """
 
     sightings: tuple[Sighting, ...]
     problems: tuple[tuple[str, str, str], ...]
     sensors: tuple[str, ...]
+    unusable: tuple[str, ...] = ()
 
 
 def read_sightings(
@@ -79,19 +81,22 @@ def read_sightings(
     vertices = _vertices(session)
     moments = moments_of(session.views)
     sightings: dict[Hashable, Sighting] = {}
-    problems: dict[tuple[str, str], str] = {}
+    problems: dict[tuple[str, str], Exception] = {}
     for number, view in enumerate(session.views):
         for name in view.targets:
             target = replace(session.targets[name], name=name)
             seen = _seen(session, view, target, scans, images, vertices, use_target_points)
             for key, sensor, file, found in seen:
                 if isinstance(found, Exception):
-                    problems.setdefault((sensor, file), str(found))
+                    problems.setdefault((sensor, file), found)
                 elif key not in sightings:  # a scan that several views name is one
                     placement = name if name in session.static else f"{name}@{moments[number]}"
                     sighting = Sighting(sensor, target, moments[number], placement, found, file, view.stamp)
                     sightings[key] = _of_moving(sighting, view, len(sightings)) if view.moving else sighting
-    return Read(tuple(sightings.values()), tuple((*where, why) for where, why in problems.items()), sensors)
+    unusable = tuple(str(why) for why in problems.values() if isinstance(why, InputError))
+    return Read(
+        tuple(sightings.values()), tuple((*where, str(why)) for where, why in problems.items()), sensors, unusable
+    )
 
 
 def _of_moving(sighting: Sighting, view: View, number: int) -> Sighting:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.connection import connected, read
+from optshape_graph.calibration.consensus import CUT, TIE, TOLERANCES, distances
 from optshape_graph.calibration.rig.hand_eye import Motion, hand_eye
 from optshape_graph.calibration.rig.sightings import Sighting
 from optshape_graph.errors import UnobservableError
@@ -100,10 +101,15 @@ def _unconnected(
     blind = [name for name in missing if name not in saw]
     names, others = (", ".join(f"'{name}'" for name in which) for which in (missing, found))
     why = f" ({', '.join(blind)} saw no target at all)" if blind else ""
-    how = "the motion that both saw static targets during is not enough" if platform_moves else (
-        "views of one stamp see the same scene: are the stamps of one clock? 'platform: moving' with targets that are "
-        "'static: true' connects sensors that never see a target at once"
-    )  # fmt: skip
+    if platform_moves:
+        how = "the motion that both saw static targets during is not enough"
+    elif all(sighting.time is None for sighting in sightings):
+        how = "no view has a 'stamp': those of one stamp see the same scene"
+    else:
+        how = (
+            "views of one stamp see the same scene: are the stamps of one clock? 'platform: moving' with targets that "
+            "are 'static: true' connects sensors that never see a target at once"
+        )
     return f"nothing connects {names} with {others}: no target that both saw in one place{why}; {how}"
 
 
@@ -119,7 +125,7 @@ def _by_motion(
             for motion in tracks.get(name, ()):
                 of_base.setdefault(motion.moments, T @ motion.T_m_n @ inverse(T))
         fits = {
-            name: fit
+            name: fit.T_a_b
             for name in missing
             if (fit := hand_eye([(of_base[m.moments], m.T_m_n) for m in tracks[name] if m.moments in of_base]))
             is not None
@@ -156,45 +162,49 @@ def motions(sightings: Sequence[Sighting]) -> list[Motion]:
 
 
 def _among_targets(sightings: Sequence[Sighting], T_base_sensor: Mapping[str, Floats]) -> Start:
-    """Place the platform at every moment and every target, one by the other; the first moment's frame is the world."""
-    order = sorted(range(len(sightings)), key=lambda n: sightings[n].moment)
-    T_world_base: dict[int, Floats] = {}
-    T_world_target: dict[str, Floats] = {}
-    chosen: dict[int, Sighting] = {}
-    waiting = list(order)
-    while waiting:
-        ready = [n for n in waiting if sightings[n].moment in T_world_base or sightings[n].placement in T_world_target]
-        if not ready:  # a part of its own: nothing ties it to the rest but the sensors
-            T_world_base[sightings[waiting[0]].moment] = np.eye(4)
-            continue
-        both = [n for n in ready if sightings[n].moment in T_world_base and sightings[n].placement in T_world_target]
-        n = (both or ready)[0]
-        sighting, T = sightings[n], T_base_sensor[sightings[n].sensor]
-        known, moment = T_world_target.get(sighting.placement), T_world_base.get(sighting.moment)
-        if known is not None and moment is not None:
-            turns = np.einsum("ij,kij->k", known[:3, :3], (moment @ T @ sighting.poses)[:, :3, :3])
-            read_as = int(turns.argmax())
-        else:
-            read_as = 0
-        pose = T @ sighting.poses[read_as]
-        if known is None:
-            assert moment is not None
-            T_world_target[sighting.placement] = moment @ pose
-        elif moment is None:
-            # Which of a symmetric target's readings it is, the other targets of the moment would tell: the one that
-            # turns the platform least from where it was.
-            before = T_world_base[max((m for m in T_world_base if m < sighting.moment), default=min(T_world_base))]
-            options = known @ inverse(T @ sighting.poses)
-            read_as = int(np.einsum("ij,kij->k", before[:3, :3], options[:, :3, :3]).argmax())
-            T_world_base[sighting.moment] = options[read_as]
-        chosen[n] = sighting.read_as(read_as)
-        waiting.remove(n)
-    return Start(
-        tuple(chosen[n] for n in range(len(sightings))), (), T_base_sensor, T_world_base, T_world_target, frozenset()
-    )
+    """Place the platform at every moment and every target, one by the other; one moment's frame is the world.
+
+    Next comes the moment at which placed targets tell most: by a symmetric one alone it would not be known how the
+    platform is turned, and whatever else was seen then would be put in a wrong place.
+    """
+    T_base_target = [T_base_sensor[s.sensor] @ s.poses for s in sightings]
+    moments: dict[int, list[int]] = {}
+    for n in sorted(range(len(sightings)), key=lambda n: sightings[n].moment):
+        moments.setdefault(sightings[n].moment, []).append(n)
+    T_world_base, T_world_target = dict[int, Floats](), dict[str, Floats]()
+
+    def told(moment: int) -> tuple[float, float]:
+        ways = {sightings[n].placement: 1 / len(sightings[n].poses) for n in moments[moment]}
+        return sum(one for name, one in ways.items() if name in T_world_target), sum(ways.values())
+
+    while waiting := [moment for moment in moments if moment not in T_world_base]:
+        moment = max(waiting, key=told)
+        seen = [
+            (T_world_target[sightings[n].placement], T_base_target[n])
+            for n in moments[moment] if sightings[n].placement in T_world_target
+        ]  # fmt: skip
+        before = T_world_base.get(min(T_world_base, key=lambda m: (m > moment, abs(m - moment)), default=moment))
+        # Without any, it is a part of its own: nothing ties it to the rest but the sensors.
+        T_world_base[moment] = np.eye(4) if before is None or not seen else _where(seen, before)
+        for n in moments[moment]:
+            T_world_target.setdefault(sightings[n].placement, T_world_base[moment] @ T_base_target[n][0])
+    chosen = []
+    for s, poses in zip(sightings, T_base_target, strict=True):
+        turns = np.einsum("ij,kij->k", T_world_target[s.placement][:3, :3], (T_world_base[s.moment] @ poses)[:, :3, :3])
+        chosen.append(s.read_as(int(turns.argmax())))
+    return Start(tuple(chosen), (), T_base_sensor, T_world_base, T_world_target, frozenset())
 
 
-def without(start: Start, numbers: frozenset[int] | set[int]) -> Start:
-    """Return the start without some of its sightings."""
-    kept = tuple(s for n, s in enumerate(start.sightings) if n not in numbers)
-    return replace(start, sightings=kept, strangers=frozenset())
+def _where(seen: Sequence[tuple[Floats, Floats]], before: Floats) -> Floats:
+    """T_world_base (4, 4) by targets, each known (4, 4) and seen in some ways (k, 4, 4): where most of them agree.
+
+    Of places that agree alike the one is taken that is turned least from where the platform was before.
+    """
+    options = np.concatenate([known @ inverse(poses) for known, poses in seen])
+    cost = np.zeros(len(options))
+    for known, poses in seen:
+        cost += [
+            min(float(distances(X, known[None, None], poses[None], *TOLERANCES[0])[0][0]), CUT**2) for X in options
+        ]
+    alike = options[cost <= cost.min() + TIE]
+    return np.asarray(alike[np.einsum("ij,kij->k", before[:3, :3], alike[:, :3, :3]).argmax()])

@@ -2,7 +2,7 @@
 
 A ring's end says that the boundary lies in an interval along the ring. In the company of everything else, which is the
 pose and the errors that all revolutions share, it stands for a Gaussian (expectation propagation, see
-`pose.propagation`): a row that is linear in both, and made again as the company gets to know better.
+`pose.ends.propagation`): a row that is linear in both, and made again as the company gets to know better.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from optshape_graph.calibration.sensor.unknowns import (
     board_errors,
     bow,
 )
+from optshape_graph.errors import EstimationError
 from optshape_graph.factors import (
     EDGE_OFFSET,
     RANGE_BIAS,
@@ -35,14 +36,15 @@ from optshape_graph.factors import (
 )
 from optshape_graph.factors.plane_returns import PlaneReturns, plane_measurement
 from optshape_graph.factors.static import angle_errors
-from optshape_graph.pose.ends import EdgeGeometry, Problem
-from optshape_graph.pose.evidence import measure
-from optshape_graph.pose.options import PoseOptions
-from optshape_graph.pose.propagation import (
+from optshape_graph.pose.ends import (
     DAMPING,
+    EdgeGeometry,
+    Problem,
     residual_intervals,
     update_sites,
 )
+from optshape_graph.pose.evidence import measure
+from optshape_graph.pose.options import PoseOptions
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import vec, vec_derivative
 from optshape_graph.target import Target
@@ -100,8 +102,10 @@ class Seen(Value):
         Raises:
             EstimationError: the returns span no plane.
         """
-        found = measure(scan, target, options)
-        usual, factor = found.residuals.usual, found.residuals.noise / found.residuals.file_noise
+        (found,) = measure([scan], [target], options)
+        if isinstance(found, EstimationError):
+            raise found
+        usual, factor = found.residuals.usual, float((found.residuals.noise / found.residuals.file_noise)[0])
         assert found.scan.ring is not None
         returns = found.returns.widened(factor, 1.0).select(usual)
         returns = returns.with_angles(found.plane.axes[0], found.scan.ring[usual], found.scan.sensor)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optshape_graph._arrays import Floats, Ints
-from optshape_graph.errors import InputError
+from optshape_graph.errors import AnotherSensorError, InputError
 from optshape_graph.sensor import SensorModel
 
 _LOG = logging.getLogger(__name__)
@@ -43,8 +43,9 @@ MOST_SWEEPS = 256
 """Beams that a sensor has at most."""
 
 ENOUGH_RETURNS = 1 << 14
-"""So many returns tell the elevations of all beams; in a larger cloud as many are sampled, in proportion from each
-beam."""
+"""So many returns tell the elevations of all beams; in a larger cloud as many are sampled."""
+
+GOLDEN_RATIO = 0.5 * (1.0 + np.sqrt(5.0))
 
 LARGEST_STRAY_SHARE = 0.1
 """A table still fits if no larger share of the returns lies between its rows."""
@@ -72,7 +73,7 @@ def rings_of_ids(points: Floats, ids: Ints, sensor: SensorModel | None, name: st
     counts = np.bincount(ids)
     present = np.flatnonzero(counts)
     beam = np.asarray(np.cumsum(counts > 0) - 1)
-    sample = _sample(ids, counts[present])
+    sample = _sample(ids)
     inverse = beam[ids[sample]]
     counts = np.bincount(inverse)
     some = points[sample]
@@ -157,13 +158,18 @@ def rings_by_firing(points: Floats, sensor: SensorModel | None, name: str) -> In
         return None
 
 
-def _sample(ids: Ints, counts: Ints) -> slice | NDArray[np.intp]:
-    """Return which returns to use: all, or in a large cloud each beam's first and every n-th."""
-    every = len(ids) // ENOUGH_RETURNS
-    if every < 2:
+def _sample(ids: Ints) -> slice | NDArray[np.intp]:
+    """Return which returns to use: all, or in a large cloud as many evenly over it, and the first of each beam.
+
+    The places between them follow the golden ratio, so that they don't keep in step with the order of the beams.
+    """
+    if len(ids) < 2 * ENOUGH_RETURNS:
         return slice(None)
-    order = np.argsort(ids.astype(np.uint16), kind="stable")  # of 16 bits: counted, not compared
-    return np.append(order[::every], order[np.cumsum(counts) - counts])
+    k = np.arange(ENOUGH_RETURNS)
+    evenly = ((k + k * GOLDEN_RATIO % 1.0) * (len(ids) / ENOUGH_RETURNS)).astype(np.intp)
+    first = np.full(int(ids.max()) + 1, -1)
+    first[ids[::-1]] = np.arange(len(ids) - 1, -1, -1)  # of a number that comes again the last is kept
+    return np.append(evenly, first[first >= 0])
 
 
 def _elevations(points: Floats) -> Floats:
@@ -246,9 +252,11 @@ def _beam_origin(ranges: Floats) -> Floats:
     return np.arctan2(BEAM_ORIGIN_TOLERANCE_M, ranges)
 
 
-def _misfit(name: str, sensor: SensorModel, found: str) -> InputError:
-    return InputError(
+def _misfit(name: str, sensor: SensorModel, found: str) -> AnotherSensorError:
+    return AnotherSensorError(
         f"{name}: the elevations do not fit the table of {sensor.name}: {found} (another sensor? points that are not "
         "in the LiDAR's frame? a unit with a table of its own: give the maker's file of it as --sensor, or a file with "
-        "'schema: optshape/sensor/1' and 'elevations_deg: [lowest, ..., highest]')"
+        "'schema: optshape/sensor/1' and 'elevations_deg: [lowest, ..., highest]')",
+        name,
+        found,
     )

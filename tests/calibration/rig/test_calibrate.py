@@ -81,6 +81,17 @@ def test_its_document_says_what_is_needed(result):
     assert set(document["mean"]) == {"front", "rear", "left"}
 
 
+def test_the_next_placement_brings_what_it_promises(rig, sightings, result):
+    """The stated standard deviation, rings' errors and the lens being as unknown as they are."""
+    advice, rng = result.next_placement, np.random.default_rng(7)
+    T = rig.T_base_sensor[advice.sensor] @ advice.T_sensor_target
+    new = seen(rig, {advice.target: two_targets()[advice.target]}, [[T]], rng)
+    assert set(advice.seen_by) <= {s.sensor for s in new}
+    again = calibrated(rig, [*sightings, *(replace(s, moment=99, placement=f"{s.target.name}@99") for s in new)])
+    assert again.directions(*advice.pair)[0].sigma_m == pytest.approx(advice.expected_sigma_m, rel=0.15)
+    assert advice.expected_sigma_m < 0.95 * advice.sigma_m
+
+
 def test_ring_errors_are_estimated_beside(rig, result):
     """Errors of rings that hit the targets come out better than the sensor file knows them: sd 1 in its unit."""
     (sensor,) = [one for one in result.sensors if one.name == "rear"]

@@ -111,7 +111,9 @@ def test_hand_eye_finds_where_two_sensors_are(seed):
     pairs = [(X @ one @ inverse(X), one) for one in B]
     pairs[0] = (pairs[0][0] @ exp([0.5, 0, 0, 1, 0, 0]), pairs[0][1])  # one is wrong
     found = hand_eye(pairs)
-    assert np.allclose(found, X, atol=1e-6)
+    assert found is not None
+    assert np.allclose(found.T_a_b, X, atol=1e-6)
+    assert (found.agree, found.of) == (5, 6)
 
 
 def test_turns_about_one_axis_do_not_tell():

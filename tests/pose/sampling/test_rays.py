@@ -10,8 +10,8 @@ from optshape_graph import Scan, Target
 from optshape_graph.edges import extract_edge_points
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import estimate_pose
-from optshape_graph.pose import rays as module
-from optshape_graph.pose.rays import STRAY, Rays
+from optshape_graph.pose.sampling import rays as module
+from optshape_graph.pose.sampling.rays import STRAY, Rays
 from optshape_graph.se3 import difference
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 

@@ -13,7 +13,8 @@ from optshape_graph.chords import chords, sight_planes
 from optshape_graph.edges import EdgePoints, extract_edge_points
 from optshape_graph.io import load_target
 from optshape_graph.pose import PoseOptions
-from optshape_graph.pose.firings import Firings
+from optshape_graph.pose.sampling.firings import Firings
+from optshape_graph.ring_returns import RingReturns
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 from optshape_graph.simulation.reference import reference_sensor
 
@@ -31,8 +32,10 @@ def firings_of(level: int, distance: float, seed: int) -> tuple[Firings, np.ndar
     rng = np.random.default_rng(seed)
     T = pose_from_rpy([distance, 0.1, 0.02], [0.1, 0.2, 0.0])
     sensor = replace(reference_sensor(), range_noise=0.01)
-    scan, noise = level_rings(simulate_target(TARGET, sensor, T, noise=NoiseModel.level(level).jittered(), rng=rng))
-    ends = place_on_firings(extract_edge_points(scan), scan, noise)
+    scan = simulate_target(TARGET, sensor, T, noise=NoiseModel.level(level).jittered(), rng=rng)
+    returns, (noise,) = level_rings(RingReturns.of([scan]))
+    (scan,) = returns.sorted_scans()
+    ends = place_on_firings(extract_edge_points(scan), returns, noise)
     poses = [T @ pose_from_rpy([0, *rng.normal(0, 0.02, 2)], [rng.normal(0, 0.03), 0, 0]) for _ in range(200)]
     corners = np.array([TARGET.vertices @ M[:3, :3].T + M[:3, 3] for M in poses])
     return of(scan, ends), corners, scan

@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from optshape_graph.pose.mixture import Components, sample
+from optshape_graph.pose.sampling.mixture import Components, sample
 from optshape_graph.se3 import difference, exp, inverse
 from optshape_graph.simulation import pose_from_rpy
 

@@ -1,4 +1,4 @@
-"""Ring ends against the edges of the target: how far off they lie, what moves them, and how well they fit a pose.
+"""Ring ends against the edges of the target: how far off they lie, and what moves them.
 
 Candidates for the poses of several scans are worked out at once, so ring ends of scans lie side by side in arrays
 (`RingEnds`). Scans have ring ends, rings without returns and noisy rings in different numbers: arrays are padded, by
@@ -16,25 +16,10 @@ import numpy as np
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.beam import Beam, outermost_return
 from optshape_graph.edges import UP, EdgePoints, leftward, upward
-from optshape_graph.factors._rows import triangular
-from optshape_graph.gaussian import chi_square_tail, f_tail
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.se3 import apply
 from optshape_graph.sensor import SensorModel, total_angle_sds
 from optshape_graph.target import Target
-
-SEEN = 0.02
-"""Probability of the F test below which a shape, of the surface or of the outline, counts as seen, and its size widens
-the pose: one clean scan in fifty pays for one that isn't there, and little, for what chance makes is small."""
-
-CLIP = 3.0
-"""Standard deviations that a ring end counts as at most: strays don't decide a mean square."""
-
-EXPECTED = 1.15
-"""Mean square of ring ends up to which nothing is widened: a tenth of clean scans exceed it."""
-
-_HUBER = 1.5
-_REWEIGHTINGS = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,12 +56,41 @@ class EdgeGeometry(Value):
         return EdgeGeometry(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
 
+FAR_BESIDE = 2.5
+"""Target radii from the rings with returns beyond which a pose that meets any of them has no part."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Padding(Value):
+    """How rows of B scans, in different numbers, lie side by side in arrays of as many each.
+
+    Attributes:
+        there: (B, M) whether there is such a row.
+        index: (B, M) which row it is of all scans', one after the other; a row that is like it where there is none.
+    """
+
+    there: Bools
+    index: Ints
+
+    @classmethod
+    def of(cls, counts: Sequence[int]) -> Padding:
+        """Lay out so many rows of each scan."""
+        count = np.array(counts)[:, None]
+        row = np.arange(count.max())
+        return cls(row < count, np.maximum(np.cumsum(count)[:, None] - count + np.minimum(row, count - 1), 0))
+
+    def padded(self, arrays: Sequence[Floats]) -> Floats:
+        """Return arrays of the scans, each (its own number, ...), as one (B, M, ...)."""
+        return np.concatenate(arrays)[self.index]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class RingEnds(Value):
     """Ring ends of B scans, of targets with as many edges; B = 1 stands for any number of candidates.
 
     Attributes:
         there: (B, M) whether there is such a ring end.
+        outer: (B, M) whether it says that the target ends before the next ring, and not where a ring ends.
         points: (B, M, 3) metres, LiDAR frame.
         sweep: (B, M, 3) motion of each as its ray turns outwards, metres per radian.
         leftward: (B, M, 3) motion of each with the azimuth, metres per radian.
@@ -87,6 +101,7 @@ class RingEnds(Value):
         width: (B, M) of the interval in which it lies, rad.
         step: (B, M) azimuth step, or the interval where that is wider, rad.
         scatter: (B, M) standard deviation of the interval's place, rad.
+        ring_shift: (B, M) standard deviation of what moves both ends of a ring, rad.
         elevation_sd: (B, M) of each ring's elevation, what all rings share included, rad.
         azimuth_sd: (B, M) likewise of each ring's azimuth, rad.
         by_shift: (B, M, K) outward motion, rad, for a standard deviation of the blooming, and of noisy rings' shifts.
@@ -97,6 +112,7 @@ class RingEnds(Value):
         flatness: (B,) standard deviation of the target about its drawing, metres.
         beam_offset: (B,) how far in returns at edges lie, beam widths.
         offset_sd: (B,) standard deviation of that, beam widths.
+        circumradius: (B,) of the target, metres.
         lost_ends: (B,) share of ring ends that are not within a step of the edge.
         lost_span: (B, 2) where the boundary may be beyond those, in units of azimuth steps.
         azimuth_step: (B,) rad.
@@ -108,6 +124,7 @@ class RingEnds(Value):
     """
 
     there: Bools
+    outer: Bools
     points: Floats
     sweep: Floats
     leftward: Floats
@@ -118,6 +135,7 @@ class RingEnds(Value):
     width: Floats
     step: Floats
     scatter: Floats
+    ring_shift: Floats
     elevation_sd: Floats
     azimuth_sd: Floats
     by_shift: Floats
@@ -128,6 +146,7 @@ class RingEnds(Value):
     flatness: Floats
     beam_offset: Floats
     offset_sd: Floats
+    circumradius: Floats
     lost_ends: Floats
     lost_span: Floats
     azimuth_step: Floats
@@ -138,47 +157,64 @@ class RingEnds(Value):
     elevations: Floats
 
     @classmethod
-    def of(
-        cls,
-        edges: EdgePoints,
-        target: Target,
-        plane: Floats,
-        beam: Beam,
-        options: PoseOptions,
-        sensor: SensorModel | None,
-        ring_shifts: Floats,
-    ) -> RingEnds:
-        """Return the ring ends of one scan; see `Problem`."""
-        ranges = np.linalg.norm(edges.points, axis=1)
-        blooming = np.where(np.abs(edges.side) < UP, beam.blooming, 0.0)
-        up, left = total_angle_sds(sensor, edges.ring)
-        rings = edges.ring[np.abs(edges.side) < UP]
-        outer = np.zeros(0) if sensor is None else np.delete(sensor.elevations, slice(rings[0], rings[-1] + 1))
-        one = {
-            "there": np.ones(len(edges), dtype=bool), "points": edges.points, "sweep": edges.sweep,
-            "leftward": leftward(edges.points), "upward": upward(edges.points), "ranges": ranges,
-            "beam": beam.width(ranges), "lower": edges.lower, "width": edges.width,
-            "step": np.maximum(edges.width, edges.azimuth_step), "scatter": edges.scatter, "elevation_sd": up,
-            "azimuth_sd": left, "by_shift": np.column_stack([blooming, ring_shifts]), "plane": plane,
-            "normals": target.normals, "offsets": target.offsets, "vertices": target.vertices,
-            "flatness": options.flatness, "beam_offset": beam.offset, "offset_sd": beam.common,
-            "lost_ends": options.lost_ends, "lost_span": options.lost_span, "azimuth_step": edges.azimuth_step,
-            "reference_azimuth": edges.reference_azimuth, "beam_angle": np.mean(beam.width(ranges) / ranges),
-            "lost_rings": edges.lost_rings, "silent": np.ones(len(outer), dtype=bool), "elevations": outer,
-        }  # fmt: skip
-        return cls(**{name: np.asarray(values)[None] for name, values in one.items()})
-
-    @classmethod
-    def side_by_side(cls, scans: Sequence[RingEnds]) -> RingEnds:
-        """Return the ring ends of several scans, whose targets have as many edges."""
-        if len(scans) == 1:
-            return scans[0]
-        made = {}
-        for field in fields(cls):
-            arrays = [getattr(scan, field.name) for scan in scans]
-            shape = np.max([array.shape for array in arrays], axis=0)
-            made[field.name] = np.concatenate([_padded(array, shape, field.name) for array in arrays])
-        return cls(**made)
+    def of(cls, problems: Sequence[Problem]) -> RingEnds:
+        """Return the ring ends of several scans, whose targets have as many edges, side by side."""
+        edges, targets, beams, options, sensors, shifts = (
+            [getattr(one, name) for one in problems]
+            for name in ("edges", "target", "beam", "options", "sensor", "ring_shifts")
+        )
+        ends = Padding.of([len(one) for one in edges])
+        points, lower, upper, scatter, shift, side = (
+            ends.padded([getattr(one, name) for one in edges])
+            for name in ("points", "lower", "upper", "scatter", "shift", "side")
+        )
+        by_elevation, by_azimuth = upward(points), leftward(points)
+        outer = np.abs(side) == UP
+        sweep = np.where(outer[..., None], by_elevation, by_azimuth) * np.sign(side)[..., None]
+        angles = [total_angle_sds(sensor, one.ring) for sensor, one in zip(sensors, edges, strict=True)]
+        by_shift = np.zeros((*ends.there.shape, 1 + max(one.shape[1] for one in shifts)))
+        by_shift[..., 0] = ~outer * np.array([[beam.blooming] for beam in beams])
+        for moved, one in zip(by_shift, shifts, strict=True):
+            moved[: len(one), 1 : 1 + one.shape[1]] = one
+        beside = [_beside(one) for one in problems]
+        silent = Padding.of([len(one) for one in beside])
+        ranges = np.sqrt(np.vecdot(points, points))
+        width = np.stack([beam.width(at) for beam, at in zip(beams, ranges, strict=True)])
+        step = np.array([one.azimuth_step for one in edges])
+        return cls(
+            there=ends.there,
+            outer=outer,
+            points=points,
+            sweep=sweep,
+            leftward=by_azimuth,
+            upward=by_elevation,
+            ranges=ranges,
+            beam=width,
+            lower=lower,
+            width=upper - lower,
+            step=np.maximum(upper - lower, step[:, None]),
+            scatter=scatter,
+            ring_shift=shift,
+            elevation_sd=ends.padded([up for up, _ in angles]),
+            azimuth_sd=ends.padded([left for _, left in angles]),
+            by_shift=by_shift,
+            plane=np.stack([one.plane for one in problems]),
+            normals=np.stack([target.normals for target in targets]),
+            offsets=np.stack([target.offsets for target in targets]),
+            vertices=np.stack([target.vertices for target in targets]),
+            flatness=np.array([one.flatness for one in options]),
+            beam_offset=np.array([beam.offset for beam in beams]),
+            offset_sd=np.array([beam.common for beam in beams]),
+            circumradius=np.array([target.circumradius for target in targets]),
+            lost_ends=np.array([one.lost_ends for one in options]),
+            lost_span=np.array([one.lost_span for one in options]),
+            azimuth_step=step,
+            reference_azimuth=np.array([one.reference_azimuth for one in edges]),
+            beam_angle=(ends.there * width / ranges).sum(axis=1) / ends.there.sum(axis=1),
+            lost_rings=np.array([one.lost_rings for one in edges]),
+            silent=silent.there,
+            elevations=silent.padded(beside),
+        )
 
     def take(self, scan: Ints) -> RingEnds:
         """Return the ring ends of each candidate (C,) by the scan that it is of; of one scan, themselves."""
@@ -202,6 +238,22 @@ class RingEnds(Value):
         """(B, M) motion across an edge below which a ring counts as running along it, metres per radian."""
         return np.asarray(1e-3 * self.ranges)
 
+    def outward(self, T: Floats) -> Floats:
+        """(C, M, 3) outward motion of each in the target's plane at poses (C, 4, 4), metres per radian."""
+        normal = T[:, 0, :3, None]
+        return np.asarray(self.sweep - self.points * ((self.sweep @ normal) / (self.points @ normal)))
+
+    def strains(self, labels: Ints, points: Floats, T: Floats) -> Floats:
+        """(C, M, 2) how far two strains of the outline, of unit size at constant area, move points off edges.
+
+        Args:
+            labels: (C, M) edge of each point.
+            points: (C, M, 3) metres, LiDAR frame.
+            T: (C, 4, 4) T_target_lidar.
+        """
+        n, yz = self.normals[np.arange(len(self.normals))[:, None], labels], apply(T, points)[..., 1:]
+        return np.stack([np.vecdot(n, yz * [1.0, -1.0]), np.vecdot(n, yz[..., ::-1])], axis=-1)
+
     def geometry(self, T: Floats, labels: Ints | None = None) -> EdgeGeometry:
         """Look at the ring ends from poses.
 
@@ -221,20 +273,20 @@ class RingEnds(Value):
         labels = labels * self.there
         scan = np.arange(len(self.normals))[:, None]
         n = self.normals[scan, labels]
-        mu = (n * slope).sum(axis=-1)
+        mu = np.vecdot(n, slope)
         direction = np.concatenate([-mu[..., None], n], axis=-1)
-        along = (n * u).sum(axis=-1)
+        along = np.vecdot(n, u)
         across = self.beam * np.sqrt(1.0 + mu**2)
         shift, scatter = outermost_return(np.abs(along) * self.width / across)
         shift = (shift - self.beam_offset[:, None]) * across
         by_angle = direction @ R
-        lifted, turned = (by_angle * self.upward).sum(axis=-1), (by_angle * self.leftward).sum(axis=-1)
+        lifted, turned = np.vecdot(by_angle, self.upward), np.vecdot(by_angle, self.leftward)
         of_ring = self.elevation_sd**2 * lifted**2 + self.azimuth_sd**2 * turned**2
         own = self.flatness[:, None] ** 2 + (Beam.OWN * scatter * across) ** 2 + (self.scatter * along) ** 2
         return EdgeGeometry(
             labels=labels,
             direction=direction,
-            residual=(direction * y).sum(axis=-1) - self.offsets[scan, labels] - shift,
+            residual=np.vecdot(direction, y) - self.offsets[scan, labels] - shift,
             along=along,
             across=across,
             shift=shift,
@@ -283,144 +335,25 @@ class Problem(Value):
         return np.asarray((edges.ring[:, None] == noisy) * (edges.side * edges.shift)[:, None])
 
     @cached_property
-    def blooming(self) -> Floats:
-        """(M, 1) outward motion, rad, of each ring end for a standard deviation of the blooming that all share."""
-        return np.where(np.abs(self.edges.side) < UP, self.beam.blooming, 0.0)[:, None]
-
-    @cached_property
     def ends(self) -> RingEnds:
         """The ring ends as arrays of one scan."""
-        return RingEnds.of(self.edges, self.target, self.plane, self.beam, self.options, self.sensor, self.ring_shifts)
+        return RingEnds.of([self])
 
     def geometry(self, T: Floats, labels: Ints | None = None) -> EdgeGeometry:
         """Look at the ring ends from poses (C, 4, 4); without labels, a ring ends on the edge it leaves by first."""
         return self.ends.geometry(T, labels)
 
-    def fit(self, T_target_lidar: Floats, labels: Ints) -> EndsFit:
-        """Fit the pose in the plane, the offset and the blooming to the ring ends, and two strains on top.
 
-        Each end stands for the middle of its interval, with the interval's variance beside its own: no label, no rival
-        and no robust weight of the estimate itself hides a residual.
+def _beside(problem: Problem) -> Floats:
+    """(O,) elevations, rad, of a sensor's rings above and below those with returns that any pose in question may meet.
 
-        Args:
-            T_target_lidar: (4, 4) near the best.
-            labels: (M,) edge of each ring end.
-        """
-        edges, target = self.edges, self.target
-        g = self.geometry(T_target_lidar[None], labels[None])
-        along, across = g.along[0], g.across[0]
-        sd = np.sqrt(g.own[0] + along**2 * (edges.width**2 / 12 + edges.shift**2))
-        boundary = edges.points + edges.middle[:, None] * edges.outward(T_target_lidar[0, :3])
-        y, z = (boundary @ T_target_lidar[1:3, :3].T + T_target_lidar[1:3, 3]).T
-        ny, nz = target.normals[labels].T
-        pose = [ny, nz, (nz * y - ny * z) / target.circumradius]
-        strains = self.strains(labels, boundary, T_target_lidar)
-        residual = g.residual[0] + along * edges.middle
-        common = [across * self.beam.common, -along * self.blooming[:, 0]]
-        rows = np.column_stack([*pose, *common, strains, residual]) / sd[:, None]
-        prior = np.diag([1e-6, 1e-6, 1e-6, 1.0, 1.0])
-        weight = np.ones(len(rows))
-        for _ in range(_REWEIGHTINGS):
-            A = weight[:, None] * rows[:, :5]
-            x = -np.linalg.solve(A.T @ rows[:, :5] + prior, A.T @ rows[:, 7])
-            residual = rows[:, :5] @ x + rows[:, 7]
-            weight = 1.0 / np.maximum(np.abs(residual) / _HUBER, 1.0)
-        strain, probability = _strain(np.sqrt(weight)[:, None] * rows)
-        return EndsFit(residual, sd, float(x[3]), float(x[4]), max(len(residual) - 3, 0), strain, probability)
-
-    def strains(self, labels: Ints, points: Floats, T_target_lidar: Floats) -> Floats:
-        """(..., M, 2) how far two strains of the outline, of unit size at constant area, move points off edges.
-
-        Args:
-            labels: (..., M) edge of each point.
-            points: (..., M, 3) metres, LiDAR frame.
-            T_target_lidar: (..., 4, 4).
-        """
-        n, yz = self.target.normals[labels], apply(T_target_lidar, points)[..., 1:]
-        return np.stack([(n * yz * [1.0, -1.0]).sum(axis=-1), (n * yz[..., ::-1]).sum(axis=-1)], axis=-1)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class EndsFit(Value):
-    """Ring ends against the edges, after pose in the plane, common offset and blooming were fitted, robustly.
-
-    Attributes:
-        z: (M,) residuals in standard deviations, positive outside.
-        sd: (M,) those standard deviations, across the edges, metres.
-        offset: common offset across the edges in standard deviations of its prior, positive: returns lie further in.
-        blooming: how much further the rings reach, in standard deviations of its prior.
-        freedom: degrees of freedom: of the pose in the plane are three, offset and blooming have priors.
-        strain: stretch of the outline at constant area that the ends ask for beside the pose, relative.
-        strain_probability: of so much by chance.
+    None of an unknown sensor's.
     """
-
-    z: Floats
-    sd: Floats
-    offset: float
-    blooming: float
-    freedom: int
-    strain: float
-    strain_probability: float
-
-    @property
-    def chi_square(self) -> float:
-        """Sum of the squares of all residuals, of the offset and of the blooming."""
-        return float(self.z @ self.z) + self.offset**2 + self.blooming**2
-
-    @property
-    def clipped_mean_square(self) -> float:
-        """Mean square residual, none counting beyond CLIP: about 1 where all is well."""
-        return float(np.minimum(self.z**2, CLIP**2).sum()) / max(len(self.z), 1)
-
-    @property
-    def probability(self) -> float:
-        """Of so large a clipped sum of squares by chance."""
-        return chi_square_tail(self.clipped_mean_square * len(self.z), self.freedom)
-
-    @property
-    def factor(self) -> float:
-        """By how much standard deviations of ring ends are to be widened: 1 where they scatter as they should."""
-        return float(np.sqrt(max(1.0, self.clipped_mean_square / EXPECTED)))
-
-    @property
-    def seen_strain(self) -> float:
-        """The strain where it is seen, 0 elsewhere."""
-        return self.strain if self.strain_probability < SEEN else 0.0
-
-    @property
-    def share_beyond(self) -> float:
-        """Share of ring ends beyond CLIP standard deviations."""
-        return float(np.mean(np.abs(self.z) > CLIP)) if len(self.z) else 0.0
-
-    @property
-    def longest_run(self) -> float:
-        """Largest |sum z| / sqrt(k) over k neighbouring ends of one side and sign, times their share of that side."""
-        worst = 0.0
-        for of in (self.z[0::2], self.z[1::2]):
-            starts = np.flatnonzero(np.diff(np.sign(of), prepend=0.0))
-            for start, stop in zip(starts, np.append(starts[1:], len(of)), strict=True):
-                k = int(stop - start)
-                worst = max(worst, abs(float(of[start:stop].sum())) / np.sqrt(k) * k / len(of))
-        return worst
-
-
-def _strain(rows: Floats) -> tuple[float, float]:
-    """Size of the two strains in whitened rows (M, 8), and the F test of whether they are there."""
-    R = triangular(np.vstack([rows, np.eye(8)[3:5]]))  # the priors of offset and blooming
-    freedom = len(rows) + 2 - 7
-    if freedom < 3 or np.abs(np.diag(R)[:7]).min() < 1e-6 * np.abs(np.diag(R)[:7]).max():
-        return 0.0, 1.0
-    x = np.linalg.solve(R[5:7, 5:7], R[5:7, 7])
-    F = float((R[5:7, 7] ** 2).sum()) / 2 / max(float(R[7, 7] ** 2) / freedom, 1.0)
-    return float(np.hypot(*x)), f_tail(F, 2, freedom)
-
-
-def _padded(array: Floats, shape: Ints, name: str) -> Floats:
-    """Return an array (1, ...) made as large as a shape: by its first entries, by zeros where it has to be nothing."""
-    missing = [(0, int(size) - have) for size, have in zip(shape[1:], array.shape[1:], strict=True)]
-    if not any(count for _, count in missing):
-        return array
-    nothing = name in ("there", "silent") or not array.size
-    if name == "by_shift":  # a ring's shift that isn't there moves nothing
-        array, missing[1] = np.pad(array, [(0, 0), (0, 0), missing[1]]), (0, 0)
-    return np.pad(array, [(0, 0), *missing], mode="constant" if nothing else "edge")
+    edges, sensor = problem.edges, problem.sensor
+    if sensor is None:
+        return np.zeros(0)
+    rings, table = edges.ring[np.abs(edges.side) < UP], sensor.elevations
+    first, last = np.minimum(rings[[0, -1]], len(table) - 1)  # a sensor with fewer rings is another
+    reach = FAR_BESIDE * problem.target.circumradius / np.sqrt(np.vecdot(edges.points, edges.points).min())
+    low, high = np.searchsorted(table, [table[first] - reach, table[last] + reach])
+    return np.concatenate([table[low : rings[0]], table[rings[-1] + 1 : high]])

@@ -144,8 +144,8 @@ class Firings(Value):
                 # With firings farther left by e, the chord ends less far beyond the left one, farther beyond the right.
                 first = np.maximum(beyond_left - high_left, low_right - beyond_right) / self.shift
                 last = np.minimum(beyond_left - low_left, high_right - beyond_right) / self.shift
-                mass = np.where(first > 0, ndtr(-first) - ndtr(-last), ndtr(last) - ndtr(first))
-                total += density_left * density_right * np.where(last > first, mass, 0.0)
+                some = np.nonzero(last > first)
+                total[some] += density_left * density_right * _mass(first[some], last[some])
         return np.asarray(np.log(total + self._floor).sum(axis=-1))
 
     def _common_grid(
@@ -183,6 +183,12 @@ class Firings(Value):
     def _floor(self) -> float:
         """Density of a ring neither of whose ends is near where it should be."""
         return (0.1 * self.lost_ends) ** 2
+
+
+def _mass(low: Floats, high: Floats) -> Floats:
+    """Probability (N,) that a standard normal variable is between bounds, by the tail that keeps all digits."""
+    above = low > 0
+    return ndtr(np.where(above, -low, high)) - ndtr(np.where(above, -high, low))
 
 
 def _fired(left: Floats, right: Floats, place: Floats) -> Bools:

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.stats import chi2, f
 
 from optshape_graph.gaussian import chi_square_tail, f_tail
+from optshape_graph.groups import Groups, Layout
 from optshape_graph.io import load_target
 from optshape_graph.pose import PoseOptions
-from optshape_graph.pose.ends import SEEN
-from optshape_graph.pose.evidence import measure
-from optshape_graph.pose.surface import OUTLYING
+from optshape_graph.pose.ends.fit import SEEN
+from optshape_graph.pose.evidence import OUTLYING, measure
 from tests.pose.clouds import simulated
 
 PAPER = load_target("paper@0.7")
@@ -28,7 +28,8 @@ def residuals(seed: int, noise: float = 1.0, bias: float = 1.0, distance: float 
     sensor = load_sensor("vlp32c")
     worse = replace(sensor, range_noise=noise * sensor.range_noise, ring_bias=bias * sensor.ring_bias)
     scan, _ = simulated(distance, (0.0, turn, 0.0), seed, PAPER, sensor, NoiseModel.of(worse))
-    return measure(scan, PAPER, PoseOptions()).residuals, scan
+    (evidence,) = measure([scan], [PAPER], PoseOptions())
+    return evidence.residuals, evidence.scan
 
 
 def test_tails_are_those_of_scipy() -> None:
@@ -44,14 +45,14 @@ def test_tails_are_those_of_scipy() -> None:
 def test_noise_and_bias_are_seen(noise: float, bias: float) -> None:
     """Medians of 20 scans to a tenth and a fifth; never less than the file's."""
     seen = [residuals(seed, noise, bias)[0] for seed in range(20)]
-    assert np.median([r.noise / r.file_noise for r in seen]) == pytest.approx(max(noise, 1.0), rel=0.1)
-    assert np.median([r.bias / r.file_bias for r in seen]) == pytest.approx(max(bias, 1.0), rel=0.2)
+    assert np.median([(r.noise / r.file_noise)[0] for r in seen]) == pytest.approx(max(noise, 1.0), rel=0.1)
+    assert np.median([(r.bias / r.file_bias)[0] for r in seen]) == pytest.approx(max(bias, 1.0), rel=0.2)
 
 
 @pytest.mark.slow
 def test_flat_boards_are_flat() -> None:
     """SEEN is a probability: of 200 flat boards 2 % seem to have a shape; 4 have a standard deviation of 2."""
-    assert sum(residuals(seed)[0].surface(SEEN).size > 0 for seed in range(200)) <= 12
+    assert sum(residuals(seed)[0].surfaces(SEEN)[0].size > 0 for seed in range(200)) <= 12
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -62,7 +63,7 @@ def test_a_bend_is_seen_at_its_size(seed: int) -> None:
     bent = replace(flat, e=flat.e + depth)
     plane = flat.terms[:, :3]
     shape = depth - plane @ np.linalg.lstsq(plane, depth, rcond=None)[0]
-    found = bent.surface(SEEN)
+    (found,) = bent.surfaces(SEEN)
     assert found.probability < 1e-12
     assert found.size == pytest.approx(np.sqrt(np.mean(shape**2)), rel=0.2)
 
@@ -70,7 +71,7 @@ def test_a_bend_is_seen_at_its_size(seed: int) -> None:
 def test_a_fold_is_told_from_a_bend() -> None:
     flat, _ = residuals(3)
     folded = replace(flat, e=flat.e + 0.08 * np.abs(flat.yz[:, 0] + 0.2))
-    assert folded.surface(SEEN).shape == "fold"
+    assert folded.surfaces(SEEN)[0].shape == "fold"
 
 
 @settings(max_examples=10)
@@ -78,7 +79,7 @@ def test_a_fold_is_told_from_a_bend() -> None:
 def test_a_tilted_plane_is_no_shape(y: float, z: float, offset: float) -> None:
     flat, _ = residuals(1)
     tilted = replace(flat, e=flat.e + flat.terms[:, :3] @ [offset, y, z])
-    assert tilted.surface(SEEN).probability == pytest.approx(flat.surface(SEEN).probability, rel=1e-3)
+    assert tilted.surfaces(SEEN)[0].probability == pytest.approx(flat.surfaces(SEEN)[0].probability, rel=1e-3)
 
 
 def test_mixed_pixels_are_left_out() -> None:
@@ -86,8 +87,9 @@ def test_mixed_pixels_are_left_out() -> None:
     rows = np.random.default_rng(0).choice(len(scan), 20, replace=False)
     points = scan.points.copy()
     points[rows] *= 1.03  # 15 cm at 5 m
-    mixed = measure(replace(scan, points=points), PAPER, PoseOptions()).residuals
-    assert not mixed.usual[rows].any()
+    (evidence,) = measure([replace(scan, points=points)], [PAPER], PoseOptions())
+    mixed, ordered = evidence.residuals, evidence.scan
+    assert not mixed.usual[(ordered.points[:, None] == points[rows]).all(axis=2).any(axis=1)].any()
     assert mixed.usual.sum() >= len(scan) - 22
     assert np.abs(mixed.rest[mixed.usual]).max() <= OUTLYING * mixed.noise
 
@@ -107,13 +109,16 @@ def test_two_revolutions_apart() -> None:
     """Neighbours alternate, and the second half of the recording lies 2 cm behind."""
     flat, scan = residuals(5, noise=0.3)
     azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
-    assert flat.sheets(azimuth).apart == 0.0
+    row = np.arange(len(scan))
+    assert flat.sheets(azimuth, row)[0].apart == 0.0
+    again = np.tile([0, 1], len(scan))  # each return twice, the one right after the other in its ring
     twice = replace(
         flat,
-        e=np.append(flat.e, flat.e + 0.02), yz=np.vstack([flat.yz, flat.yz]), column=np.tile(flat.column, 2),
-        rest=np.append(flat.rest - 0.01, flat.rest + 0.01), usual=np.tile(flat.usual, 2),
+        e=np.repeat(flat.e, 2) + 0.02 * again, yz=np.repeat(flat.yz, 2, axis=0),
+        layout=Layout(Groups(2 * flat.rings.counts), flat.layout.rings_of_scan),
+        rest=np.repeat(flat.rest, 2) + 0.02 * again - 0.01, usual=np.repeat(flat.usual, 2),
     )  # fmt: skip
-    found = twice.sheets(np.append(azimuth, azimuth + 1e-4))
+    (found,) = twice.sheets(np.repeat(azimuth, 2) - 1e-4 * again, np.repeat(row, 2) + len(scan) * again)
     assert found.correlation < -0.25
     assert found.apart == pytest.approx(0.01, rel=0.2)
     assert found.probability < 1e-8
