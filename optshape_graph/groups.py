@@ -35,7 +35,7 @@ class Groups(Value):
     @cached_property
     def first(self) -> Ints:
         """(G,) first row of each group."""
-        return np.asarray(np.cumsum(self.counts) - self.counts)
+        return np.asarray(self.counts.cumsum() - self.counts)
 
     @cached_property
     def last(self) -> Ints:
@@ -54,7 +54,7 @@ class Groups(Value):
 
     def each(self, values: Rows) -> Rows:
         """Return values (G, ...) of groups for each of their rows (N, ...)."""
-        return np.repeat(values, self.counts, axis=0)
+        return values.repeat(self.counts, axis=0)
 
     def sum(self, values: Floats | Bools) -> Floats:
         """Return the sums (G, ...) of values (N, ...) over groups."""
