@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from threading import Lock
 
@@ -23,7 +24,7 @@ from optshape_graph.factors._rows import triangular
 from optshape_graph.io import Session, read_scan
 from optshape_graph.io import View as Entry
 from optshape_graph.io.passed_over import UNUSABLE, PassedOver
-from optshape_graph.pose import PoseEstimate, estimate_pose
+from optshape_graph.pose import PoseEstimate, estimate_pose, estimate_poses
 from optshape_graph.runs.files import fingerprint
 from optshape_graph.runs.kept import Kept
 from optshape_graph.scan import Scan
@@ -284,11 +285,16 @@ def read_scans(
         InputError: the sensor file of a LiDAR is another model's: half of its scans or more do not fit it.
     """
     results: dict[ScanKey, ScanResult] = {}
-    for (path, lidar), names in tasks.items():
-        targets = {name: session.targets[name] for name in names}
-        for name, result in _in_scan(path, session.lidars[lidar], lidar, targets, are_crops, unused, kept).items():
-            results[path, lidar, name] = result
-        tick()
+    if are_crops:
+        for first in range(0, len(tasks), AT_ONCE):
+            some = dict(islice(tasks.items(), first, first + AT_ONCE))
+            results.update(_in_crops(session, some, tick, unused, kept))
+    else:
+        for (path, lidar), names in tasks.items():
+            targets = {name: session.targets[name] for name in names}
+            for name, result in _in_scan(path, session.lidars[lidar], lidar, targets, unused, kept).items():
+                results[path, lidar, name] = result
+            tick()
     for lidar in session.lidars:
         _check_model(session, lidar, {path: one for (path, of, _), one in results.items() if of == lidar})
     return results
@@ -310,33 +316,77 @@ def _in_scan(
     sensor: SensorModel,
     lidar: str,
     targets: Mapping[str, Target],
-    is_crop: bool,
     unused: Counter[str],
     kept: Kept,
 ) -> dict[str, ScanResult]:
-    """Find targets in one scan: in a crop by cleaning it, in a full one by detection."""
+    """Find targets in one whole scan, by detection."""
     try:
         scan = read_scan(path, sensor, unused=unused)
-        of = {"scan": fingerprint([str(path)]), "crop": is_crop, "lidar": lidar, "sensor": sensor, "targets": targets}
-        if not is_crop:
-            return _with_scan(kept(Mapping[str, TargetInScan | str], of, lambda: _detected(scan, lidar, targets)), scan)
-        if len(targets) > 1:
-            raise InputError(
-                f"{path}: a crop of {len(targets)} targets ({', '.join(targets)}); expected one target a view"
-            )
-        ((name, target),) = targets.items()
-        found = kept(TargetInScan, of, lambda: target_in_scan(planar_returns(scan), target, lidar))
-        return _with_scan({name: found}, scan)
+        of = {"scan": fingerprint([str(path)]), "crop": False, "lidar": lidar, "sensor": sensor, "targets": targets}
+        found = kept(Mapping[str, TargetInScan | str], of, lambda: _detected(scan, lidar, targets))
     except (EstimationError, InputError) as error:
         return dict.fromkeys(targets, error)
-
-
-def _with_scan(found: Mapping[str, TargetInScan | str], scan: Scan) -> dict[str, ScanResult]:
-    """Add to what is kept of a scan its other returns."""
     return {
         name: EstimationError(seen) if isinstance(seen, str) else replace(seen, all_returns=scan.points)
         for name, seen in found.items()
     }
+
+
+AT_ONCE = 16
+"""Crops in which targets' poses are estimated at once."""
+
+
+def _in_crops(
+    session: Session,
+    tasks: Mapping[tuple[Path, str], list[str]],
+    tick: Callable[[], None],
+    unused: Counter[str],
+    kept: Kept,
+) -> dict[ScanKey, ScanResult]:
+    """Find the target in each of some crops, all at once."""
+    results: dict[ScanKey, ScanResult] = {}
+    crops: dict[ScanKey, Scan] = {}
+    for (path, lidar), names in tasks.items():
+        try:
+            scan = read_scan(path, session.lidars[lidar], unused=unused)
+            if len(names) > 1:
+                raise InputError(f"{path}: a crop of {len(names)} targets ({', '.join(names)}); expected one a view")
+            crops[path, lidar, names[0]] = scan
+        except (EstimationError, InputError) as error:
+            results.update(dict.fromkeys([(path, lidar, name) for name in names], error))
+        tick()
+    steps = [
+        {
+            "scan": fingerprint([str(path)]), "crop": True, "lidar": lidar, "sensor": session.lidars[lidar],
+            "targets": {name: session.targets[name]},
+        }
+        for path, lidar, name in crops
+    ]  # fmt: skip
+    found = kept.together(TargetInScan, steps, lambda: _cleaned(session, crops))
+    for (key, scan), seen in zip(crops.items(), found, strict=True):
+        results[key] = seen if isinstance(seen, EstimationError) else replace(seen, all_returns=scan.points)
+    return {(*task, name): results[*task, name] for task, names in tasks.items() for name in names}
+
+
+def _cleaned(session: Session, crops: Mapping[ScanKey, Scan]) -> list[TargetInScan | EstimationError]:
+    """Clean crops, and estimate the poses of the targets in them."""
+    found: dict[ScanKey, TargetInScan | EstimationError] = {}
+    planar: dict[ScanKey, Scan] = {}
+    for key, scan in crops.items():
+        try:
+            planar[key] = planar_returns(scan)
+        except EstimationError as error:
+            found[key] = error
+    estimates = estimate_poses(list(planar.values()), [session.targets[name] for _, _, name in planar])
+    for (key, returns), estimate in zip(planar.items(), estimates, strict=True):
+        _, lidar, name = key
+        try:
+            if isinstance(estimate, EstimationError):
+                raise estimate
+            found[key] = target_in_scan(returns, session.targets[name], lidar, estimate)
+        except EstimationError as error:
+            found[key] = error
+    return [found[key] for key in crops]
 
 
 def _detected(scan: Scan, lidar: str, targets: Mapping[str, Target]) -> dict[str, TargetInScan | str]:
