@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from optshape_graph._arrays import Floats
+from optshape_graph.se3 import cross
 
 
 def sight_planes(corners: Floats) -> Floats:
     """Return outward unit normals (S, n, 3) of the planes through sensor and edges of polygons (S, n, 3), metres."""
-    normal = np.cross(corners, np.roll(corners, -1, axis=1))
-    inwards = np.sign((normal * corners.mean(axis=1, keepdims=True)).sum(axis=-1, keepdims=True))
-    return np.asarray(-inwards * normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+    normal = cross(corners, np.roll(corners, -1, axis=1))
+    inwards = np.sign(np.vecdot(normal, corners.mean(axis=1, keepdims=True)))
+    return np.asarray(normal * (-inwards / np.sqrt(np.vecdot(normal, normal)))[..., None])
 
 
 def chords(

@@ -104,11 +104,18 @@ def skew(v: Floats) -> Floats:
     return S
 
 
+def cross(a: Floats, b: Floats) -> Floats:
+    """Return the cross products (..., 3) of vectors (..., 3) in any units, faster than NumPy's."""
+    x, y, z = a[..., 0], a[..., 1], a[..., 2]
+    u, v, w = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
+
+
 def rotation(w: ArrayLike) -> Floats:
     """Return the rotations (..., 3, 3) of rotation vectors (..., 3), rad: Rodrigues' formula."""
     vectors = np.asarray(w, float)
     W = skew(vectors)
-    first, second, _ = _coefficients(np.linalg.norm(vectors, axis=-1))
+    first, second = _first_two(np.sqrt(np.vecdot(vectors, vectors)))
     return np.asarray(_UNIT + first * W + second * (W @ W))
 
 
@@ -268,10 +275,14 @@ def relative_covariance(T_a_b: Floats, covariance: Floats, a: slice | None, b: s
 
 def _coefficients(theta: Floats) -> tuple[Floats, Floats, Floats]:
     """sin(x) / x, (1 - cos(x)) / x^2 and (x - sin(x)) / x^3 of angles (...), each as (..., 1, 1)."""
-    half = 0.5 * theta
+    return *_first_two(theta), _third(theta)
+
+
+def _first_two(theta: Floats) -> tuple[Floats, Floats]:
+    """sin(x) / x and (1 - cos(x)) / x^2 of angles (...), each as (..., 1, 1)."""
+    half = 0.5 * theta[..., None, None]
     sinc = np.divide(np.sin(half), half, out=np.ones_like(half), where=half > 0)
-    first, second = sinc * np.cos(half), 0.5 * sinc * sinc
-    return first[..., None, None], second[..., None, None], _third(theta)
+    return sinc * np.cos(half), 0.5 * sinc * sinc
 
 
 def _third(theta: Floats) -> Floats:

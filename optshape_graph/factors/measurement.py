@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from optshape_graph._arrays import Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, in_plane, marginalised, outer_rows, root, triangular
-from optshape_graph.se3 import PoseLike, as_matrix, exp, inverse, vec, vec_derivative
+from optshape_graph.se3 import PoseLike, as_matrix, inverse, rotation, transform, vec, vec_derivative
 
 FIRST_ROW = [0, 3, 6, 9]
 """Places of the first row of [R t] in z = [vec R; t]: all that a point on the plane x = 0 is linear in."""
@@ -253,15 +253,15 @@ class TemplateMeasurement(Value):
 
 def refine(measurement: TemplateMeasurement) -> Floats:
     """Return the T_target_lidar (4, 4) nearest to where a measurement was taken that minimises its error."""
-    return np.asarray(refine_all([measurement])[0])
+    return np.asarray(refine_all([measurement], measurement.T_target_lidar[None])[0])
 
 
-def refine_all(measurements: Sequence[TemplateMeasurement], iterations: int = 20) -> Floats:
-    """Return the T_target_lidar (B, 4, 4) nearest to where measurements were taken that minimise the error of each.
+def refine_all(measurements: Sequence[TemplateMeasurement], starts: Floats, iterations: int = 20) -> Floats:
+    """Return the T_target_lidar (B, 4, 4) nearest to starts (B, 4, 4) that minimise the errors of measurements.
 
     Gauss-Newton steps on the compressed rows, with Levenberg's damping where they do not lead down.
     """
-    T, L, b = (np.stack([getattr(one, name) for one in measurements]) for name in ("T_target_lidar", "L", "b"))
+    T, L, b = starts.copy(), np.stack([one.L for one in measurements]), np.stack([one.b for one in measurements])
     residual = _residuals(L, b, T)
     error, damping = (residual**2).sum(axis=1), np.full(len(T), 1e-12)
     going = np.arange(len(T))
@@ -270,7 +270,7 @@ def refine_all(measurements: Sequence[TemplateMeasurement], iterations: int = 20
         information, pull = np.swapaxes(J, 1, 2) @ J, np.swapaxes(J, 1, 2) @ residual[going, :, None]
         trace = np.trace(information, axis1=1, axis2=2)
         step = -np.linalg.solve(information + (damping[going] * trace)[:, None, None] * np.eye(6), pull)[..., 0]
-        candidate = T[going] @ exp(step)
+        candidate = T[going] @ transform(rotation(step[:, :3]), step[:, 3:])
         left = _residuals(L[going], b[going], candidate)
         new = (left**2).sum(axis=1)
         down = new <= error[going]

@@ -189,23 +189,21 @@ class BiasedMeasurement(Value):
         """
         if not isinstance(other, BiasedMeasurement):
             return NotImplemented
-        for kind in {error.kind for error in self.shared} & {error.kind for error in other.shared}:
+        kinds = {error.kind for error in self.shared} & {error.kind for error in other.shared}
+        for kind in {error.kind for error in self.shared + other.shared if error.ring is None} & kinds:
             mine, theirs = ({error for error in one.shared if error.kind == kind} for one in (self, other))
-            if mine != theirs and any(error.ring is None for error in mine | theirs):
+            if mine != theirs:
                 raise InputError(
                     f"measurements whose shared errors mean different things do not add: {_words(mine - theirs)}; "
                     f"against {_words(theirs - mine)}: marginalise them in each scan first, with `without`"
                 )
-        errors = tuple(dict.fromkeys(self.shared + other.shared))
-        stack = triangular_by_parts(np.vstack([self._columns_for(errors), other._columns_for(errors)]), len(errors))
-        return BiasedMeasurement(stack, self.n_rows + other.n_rows, self.T_target_lidar, errors)
-
-    def _columns_for(self, errors: tuple[SharedError, ...]) -> Floats:
-        k, place = len(self.shared), {error: column for column, error in enumerate(errors)}
-        stack = np.zeros((len(self.stack), len(errors) + 13))
-        stack[:, [place[error] for error in self.shared]] = self.stack[:, :k]
-        stack[:, len(errors) :] = self.stack[:, k:]
-        return stack
+        place: dict[SharedError, int] = {}
+        columns = [[place.setdefault(error, len(place)) for error in one.shared] for one in (self, other)]
+        rows = np.zeros((len(self.stack) + len(other.stack), len(place) + 13))
+        for one, own, part in zip((self, other), columns, np.split(rows, [len(self.stack)]), strict=True):
+            part[:, [*own, *range(len(place), len(place) + 13)]] = one.stack
+        stack = triangular_by_parts(rows, len(place))
+        return BiasedMeasurement(stack, self.n_rows + other.n_rows, self.T_target_lidar, tuple(place))
 
     def without(self, errors: Collection[SharedError]) -> BiasedMeasurement:
         """Return the measurement with some errors marginalised, each in units of its standard deviation.

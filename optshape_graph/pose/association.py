@@ -165,7 +165,7 @@ def _best_different(sums: Floats, count: int, size: Floats) -> list[tuple[Floats
     which, angle = _minimise_on_circle(form)
     x = np.stack([np.cos(angle), np.sin(angle), -np.ones_like(angle)], axis=-1)
     scan = np.arange(len(sums))[:, None]
-    t = np.stack([-(part[scan, which] * x).sum(axis=-1) for part in K], axis=-1)
+    t = np.stack([-np.vecdot(part[scan, which], x) for part in K], axis=-1)
     place = (t[..., 0] + 1j * t[..., 1]) / size[:, None]
     near = _first_different(angle, place, np.radians(1.5), 0.01, NEAR)
     far = _first_different(angle, place, np.radians(15.0), 0.3, FAR)

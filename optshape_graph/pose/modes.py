@@ -29,7 +29,7 @@ from optshape_graph.pose.ends import (
 )
 from optshape_graph.pose.evidence import Evidence, ends_of
 from optshape_graph.pose.sampling import Components, Firings, LogDensity, Rays, SampledPose, Samples, sample
-from optshape_graph.se3 import adjoint, apply, difference, exp, inverse, vec, vec_derivative
+from optshape_graph.se3 import adjoint, apply, cross, difference, exp, inverse, vec, vec_derivative
 from optshape_graph.sensor import SensorModel, angle_sds
 from optshape_graph.target import Target
 
@@ -299,7 +299,7 @@ def _components(posterior: Posterior, centre: Floats, size: float) -> Components
     narrow = WIDENING**2 * J @ posterior.joint @ np.swapaxes(J, 1, 2)
     middle = apply(posterior.T_target_lidar, centre[None])[:, 0]
     turning = np.zeros((len(J), 7))
-    turning[:, 0], turning[:, 3:6] = 1.0, np.cross(middle, [1.0, 0.0, 0.0])
+    turning[:, 0], turning[:, 3:6] = 1.0, cross(middle, np.array([1.0, 0.0, 0.0]))
     broad = narrow + BROAD[0] ** 2 * turning[:, :, None] * turning[:, None]
     broad[:, [4, 5], [4, 5]] += (BROAD[1] * size) ** 2
     likely = np.exp((posterior.log_likelihood - posterior.log_likelihood.max()) / 4)
@@ -342,7 +342,7 @@ def _effects(evidence: Evidence, T_target_lidar: Floats) -> tuple[tuple[SharedEr
     g = problem.geometry(T)
     weight = 1.0 / (g.own + g.along**2 * (edges.width**2 / 12 + edges.shift**2))
     m = g.direction @ T[:, :3, :3]
-    J = np.concatenate([np.cross(edges.points, m), m, g.across[..., None]], axis=-1)
+    J = np.concatenate([cross(edges.points, m), m, g.across[..., None]], axis=-1)
     D = vec_derivative(T)
     information = (np.swapaxes(J, 1, 2) @ (weight[..., None] * J)).mean(axis=0)
     information[:6, :6] += (np.swapaxes(D, 1, 2) @ problem.plane[:12, :12] @ D).mean(axis=0)

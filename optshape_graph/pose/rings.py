@@ -54,7 +54,7 @@ def _in_one_measurement(evidences: Sequence[Evidence], modes: Sequence[Modes]) -
     fits = fit_ends(ends, T, labels)
     edges = _on_edges(evidences, modes, ends, associations, fits)
     shared = [one for one, _ in edges]
-    minima = refine_all([one.of_one_scan().at(pose) for one, pose in zip(shared, T, strict=True)])
+    minima = refine_all([one.of_one_scan() for one in shared], T)
 
     # What is uncertain beside: the surface, and associations that disagree or ends that scatter more than they should.
     with_surface = [one.displaced(*pair) for one, *pair in zip(evidences, shared, minima, strict=True)]
@@ -63,13 +63,13 @@ def _in_one_measurement(evidences: Sequence[Evidence], modes: Sequence[Modes]) -
         factor = disagreement[k] if one.sampled is None else fit.factor
         if factor > 1.0:
             shared[k] = replace(shared[k], stack=shared[k].stack / factor)
+    minima = refine_all([one.of_one_scan() for one in shared], minima)  # shared errors weigh otherwise now
     exact = [one.of_one_scan().at(pose) for one, pose in zip(shared, minima, strict=True)]
-    minima = refine_all(exact)  # shared errors weigh otherwise now: each minimum is its own
     shared = [one.displaced(*pair) for one, *pair in zip(evidences, shared, minima, strict=True)]
 
     # How the ring ends lie about the edges there.
     final = ends.geometry(minima, labels)
-    best = concatenate([one.candidates.select(slice(1)) for one in modes])
+    best = associations.posterior.select(np.searchsorted(associations.scan, np.arange(len(modes))))
     residuals = final.residual + best.inset * final.along
     offset = np.array([one.sampled.offset if one.sampled else one.candidates.offset[0] for one in modes])
     explained = _explained(ends, final, offset)
@@ -96,14 +96,14 @@ def _in_one_measurement(evidences: Sequence[Evidence], modes: Sequence[Modes]) -
 
 def _at_best(ends: RingEnds, modes: Sequence[Modes]) -> tuple[Floats, Ints]:
     """Poses (B, 4, 4) to start from, the samples' or the best candidates', and the edges (B, M) of ring ends there."""
-    T, labels = np.empty((len(modes), 4, 4)), np.full(ends.there.shape, -1)
+    T, labels = np.empty((len(modes), 4, 4)), np.zeros(ends.there.shape, dtype=int)
     for k, one in enumerate(modes):
         if one.sampled is None:
             found = one.candidates.geometry.labels[0]
             T[k], labels[k, : len(found)] = one.candidates.T_target_lidar[0], found
         else:
-            T[k] = one.sampled.T_target_lidar
-    return T, ends.geometry(T, labels).labels
+            T[k], labels[k] = one.sampled.T_target_lidar, -1
+    return T, ends.geometry(T, labels).labels if (labels < 0).any() else labels
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -41,12 +41,12 @@ def fit_ends(ends: RingEnds, T: Floats, labels: Ints) -> list[EndsFit]:
     g, there = ends.geometry(T, labels), ends.there & ~ends.outer
     sd = np.sqrt(g.own + g.along**2 * (ends.width**2 / 12 + ends.ring_shift**2))
     boundary = ends.points + ends.middle[..., None] * ends.outward(T)
-    y, z = np.moveaxis(apply(T, boundary)[..., 1:], -1, 0)
-    ny, nz = np.moveaxis(g.direction[..., 1:], -1, 0)
-    pose = [ny, nz, (nz * y - ny * z) / ends.circumradius[:, None]]
+    at = apply(T, boundary)
+    ny, nz = g.direction[..., 1], g.direction[..., 2]
+    pose = [ny, nz, (nz * at[..., 1] - ny * at[..., 2]) / ends.circumradius[:, None]]
     common = [g.across * ends.offset_sd[:, None], -g.along * ends.by_shift[..., 0]]
-    strains = np.moveaxis(ends.strains(labels, boundary, T), -1, 0)
-    rows = np.stack([*pose, *common, *strains, g.residual + g.along * ends.middle], axis=-1)
+    strains, residual = ends.strains(labels, boundary, T), g.residual + g.along * ends.middle
+    rows = np.stack([*pose, *common, strains[..., 0], strains[..., 1], residual], axis=-1)
     rows *= (there / sd)[..., None]
     A, r, prior = rows[..., :5], rows[..., 7:], np.diag([1e-6, 1e-6, 1e-6, 1.0, 1.0])
     weight = np.ones_like(r)

@@ -28,7 +28,7 @@ from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.chords import chords, sight_planes
 from optshape_graph.gaussian import log_ndtr, mixture_moments
 from optshape_graph.pose.ends.ring_ends import EdgeGeometry, Padding, RingEnds
-from optshape_graph.se3 import exp, vec, vec_derivative
+from optshape_graph.se3 import cross, exp, vec, vec_derivative
 
 _WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])
 """Information of the pose before any measurement (3 rad, 100 m): keeps an unobservable pose finite."""
@@ -79,12 +79,14 @@ class Posterior(Value):
 
 def concatenate(posteriors: Sequence[Posterior]) -> Posterior:
     """Return the posteriors of all, padded to as many edge points."""
+    if len(posteriors) == 1:
+        return posteriors[0]
     padding = Padding.of([one.inset.shape[1] for one in posteriors for _ in one.inset])
 
     def of_ends(values: Sequence[Floats]) -> Floats:
         return padding.padded([value.reshape(-1, *value.shape[2:]) for value in values])
 
-    return _made(of_ends, np.concatenate, posteriors)
+    return _made(np.concatenate if padding.there.all() else of_ends, np.concatenate, posteriors)
 
 
 _OF_ENDS = ("inset", "shift", "sigma")
@@ -146,7 +148,7 @@ def propagate(ends: RingEnds, T: Floats, geometry: EdgeGeometry, sweeps: int) ->
         sweeps: updates of all edge points.
     """
     points, m, s = ends.points, geometry.direction @ T[:, :3, :3], geometry.along
-    columns = [np.cross(points, m), m, geometry.across[..., None], s[..., None] * ends.by_shift]
+    columns = [cross(points, m), m, geometry.across[..., None], s[..., None] * ends.by_shift]
     J = np.concatenate(columns, axis=-1)
     D, z = vec_derivative(T), vec(T)
     precision0 = np.zeros((len(T), J.shape[-1], J.shape[-1])) + np.eye(J.shape[-1])
@@ -229,7 +231,7 @@ def posterior_step(
         shift = shift0 + (Jt @ (nu - tau * r)[..., None])[..., 0]
         covariance = np.linalg.inv(precision)
         mean = (covariance @ shift[..., None])[..., 0]
-        variance = ((J @ covariance) * J).sum(axis=-1)
+        variance = np.vecdot(J @ covariance, J)
         prediction = r + (J @ mean[..., None])[..., 0]
         site = update_sites(prediction, variance, own, intervals, tau, nu)
         if sweep == sweeps:
@@ -238,8 +240,8 @@ def posterior_step(
         nu = ends.there * (nu + DAMPING * (site.information - nu))
     evidence = site.log_mass + 0.5 * _log_ratio(site.cavity_mean, site.cavity_variance, tau, nu)
     log_evidence = (
-        0.5 * ((mean * shift).sum(axis=-1) - np.linalg.slogdet(precision)[1])
-        - 0.5 * (shift0 * np.linalg.solve(precision0, shift0[..., None])[..., 0]).sum(axis=-1)
+        0.5 * (np.vecdot(mean, shift) - np.linalg.slogdet(precision)[1])
+        - 0.5 * np.vecdot(shift0, np.linalg.solve(precision0, shift0[..., None])[..., 0])
         + 0.5 * np.linalg.slogdet(precision0)[1]
         + (ends.there * evidence - 0.5 * (tau * r**2 - 2 * nu * r)).sum(axis=-1)
     )
@@ -370,8 +372,8 @@ def exit_probability(ends: RingEnds, posterior: Posterior) -> Floats:
     worst = beyond.argmax(axis=-1)
     R, scan = posterior.T_target_lidar[:, :3, :3], np.arange(len(ends.normals))[:, None]
     normal = ends.normals[scan, worst] @ R[:, 1:]
-    J = np.concatenate([np.cross(boundary, normal), normal], axis=-1)
-    variance = ((J @ posterior.covariance) * J).sum(axis=-1) + posterior.geometry.own
+    J = np.concatenate([cross(boundary, normal), normal], axis=-1)
+    variance = np.vecdot(J @ posterior.covariance, J) + posterior.geometry.own
     inside = log_ndtr(-np.take_along_axis(beyond, worst[..., None], axis=-1)[..., 0] / np.sqrt(variance))
     least = np.log(0.1 * ends.lost_ends)[:, None]
     return np.asarray((ends.there * np.maximum(inside, least)).sum(axis=1))

@@ -56,6 +56,10 @@ class EdgeGeometry(Value):
         return EdgeGeometry(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
 
+FAR_BESIDE = 2.5
+"""Target radii from the rings with returns beyond which a pose that meets any of them has no part."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Padding(Value):
     """How rows of B scans, in different numbers, lie side by side in arrays of as many each.
@@ -176,9 +180,9 @@ class RingEnds(Value):
         by_shift[..., 0] = ~outer * np.array([[beam.blooming] for beam in beams])
         for moved, one in zip(by_shift, shifts, strict=True):
             moved[: len(one), 1 : 1 + one.shape[1]] = one
-        beside = [_beside(*pair) for pair in zip(edges, sensors, strict=True)]
+        beside = [_beside(one) for one in problems]
         silent = Padding.of([len(one) for one in beside])
-        ranges = np.sqrt((points * points).sum(axis=-1))
+        ranges = np.sqrt(np.vecdot(points, points))
         width = np.stack([beam.width(at) for beam, at in zip(beams, ranges, strict=True)])
         step = np.array([one.azimuth_step for one in edges])
         return cls(
@@ -254,7 +258,7 @@ class RingEnds(Value):
             T: (C, 4, 4) T_target_lidar.
         """
         n, yz = self.normals[np.arange(len(self.normals))[:, None], labels], apply(T, points)[..., 1:]
-        return np.stack([(n * yz * [1.0, -1.0]).sum(axis=-1), (n * yz[..., ::-1]).sum(axis=-1)], axis=-1)
+        return np.stack([np.vecdot(n, yz * [1.0, -1.0]), np.vecdot(n, yz[..., ::-1])], axis=-1)
 
     def geometry(self, T: Floats, labels: Ints | None = None) -> EdgeGeometry:
         """Look at the ring ends from poses.
@@ -275,21 +279,21 @@ class RingEnds(Value):
         labels = labels * self.there
         scan = np.arange(len(self.normals))[:, None]
         n = self.normals[scan, labels]
-        mu = (n * slope).sum(axis=-1)
+        mu = np.vecdot(n, slope)
         direction = np.concatenate([-mu[..., None], n], axis=-1)
-        along = (n * u).sum(axis=-1)
+        along = np.vecdot(n, u)
         across = self.beam * np.sqrt(1.0 + mu**2)
         shift, scatter = outermost_return(np.abs(along) * self.width / across)
         shift = (shift - self.beam_offset[:, None]) * across
         by_angle = direction @ R
-        lifted, turned = (by_angle * self.upward).sum(axis=-1), (by_angle * self.leftward).sum(axis=-1)
+        lifted, turned = np.vecdot(by_angle, self.upward), np.vecdot(by_angle, self.leftward)
         of_ring = (self.elevation_sd**2 + self.common_elevation_sd[:, None] ** 2) * lifted**2
         of_ring += (self.azimuth_sd**2 + self.common_azimuth_sd[:, None] ** 2) * turned**2
         own = self.flatness[:, None] ** 2 + (Beam.OWN * scatter * across) ** 2 + (self.scatter * along) ** 2
         return EdgeGeometry(
             labels=labels,
             direction=direction,
-            residual=(direction * y).sum(axis=-1) - self.offsets[scan, labels] - shift,
+            residual=np.vecdot(direction, y) - self.offsets[scan, labels] - shift,
             along=along,
             across=across,
             shift=shift,
@@ -347,7 +351,16 @@ class Problem(Value):
         return self.ends.geometry(T, labels)
 
 
-def _beside(edges: EdgePoints, sensor: SensorModel | None) -> Floats:
-    """(O,) elevations, rad, of a sensor's rings above and below those with returns; none of an unknown one's."""
-    rings = edges.ring[np.abs(edges.side) < UP]
-    return np.zeros(0) if sensor is None else np.delete(sensor.elevations, slice(rings[0], rings[-1] + 1))
+def _beside(problem: Problem) -> Floats:
+    """(O,) elevations, rad, of a sensor's rings above and below those with returns that any pose in question may meet.
+
+    None of an unknown sensor's.
+    """
+    edges, sensor = problem.edges, problem.sensor
+    if sensor is None:
+        return np.zeros(0)
+    rings, table = edges.ring[np.abs(edges.side) < UP], sensor.elevations
+    first, last = np.minimum(rings[[0, -1]], len(table) - 1)  # a sensor with fewer rings is another
+    reach = FAR_BESIDE * problem.target.circumradius / np.sqrt(np.vecdot(edges.points, edges.points).min())
+    low, high = np.searchsorted(table, [table[first] - reach, table[last] + reach])
+    return np.concatenate([table[low : rings[0]], table[rings[-1] + 1 : high]])

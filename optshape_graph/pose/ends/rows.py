@@ -56,7 +56,8 @@ class EdgeRows(Value):
         offsets = np.take_along_axis(ends.offsets, g.labels, axis=1) + g.shift
         A, r = template_rows(boundary.reshape(-1, 3), g.direction.reshape(-1, 3), offsets.ravel())
         offset, blooming = g.across * ends.offset_sd[:, None], -g.along * ends.by_shift[..., 0]
-        common = np.stack([offset, blooming, *np.moveaxis(ends.strains(g.labels, boundary, T), -1, 0)], axis=-1)
+        strains = ends.strains(g.labels, boundary, T)
+        common = np.stack([offset, blooming, strains[..., 0], strains[..., 1]], axis=-1)
         variance = np.maximum(posterior.sigma**2 - g.of_ring, 0.1 * posterior.sigma**2)
         own = np.where(ends.outer, np.clip(g.own - g.of_ring, 1e-2 * variance, variance), variance)
         return cls(
