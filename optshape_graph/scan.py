@@ -194,3 +194,18 @@ def rings_missing(scan: Scan) -> InputError:
         "sensor whose table tells (--sensor). Livox and flash LiDARs have none: cut the target's returns out and use "
         "`optshape estimate`"
     )
+
+
+def rings_from_the_top(scan: Scan) -> str:
+    """Return what shows that a scan's ring numbers fall with elevation; "" where they rise, or there are none."""
+    if scan.ring is None or len(scan) == 0:
+        return ""
+    low, high = int(scan.ring.min()), int(scan.ring.max())
+    elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
+    lowest, highest = (float(np.median(elevation[scan.ring == ring])) for ring in (low, high))
+    if highest >= lowest:
+        return ""
+    return (
+        f"ring {high} looks at {np.degrees(highest):.2f} deg, ring {low} at {np.degrees(lowest):.2f} deg; expected "
+        "rings that are counted from the lowest elevation, as `read_scan` counts them"
+    )
