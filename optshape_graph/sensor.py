@@ -53,6 +53,10 @@ class SensorModel(Value):
         common_range_sd: standard deviation of a range bias that all rings share, beside their own, metres.
         common_elevation_sd: standard deviation of an error of elevation that all rings share, rad.
         common_azimuth_sd: standard deviation of an error of azimuth that all rings share, rad.
+        range_trend_sd: standard deviation of a range bias that grows with the ring's elevation, from the mean of the
+            table on, metres per rad.
+        elevation_trend_sd: the same of an error of elevation, rad per rad.
+        azimuth_trend_sd: the same of an error of azimuth, rad per rad.
         reported_elevations: (R,) rad, by which the driver makes points of ranges; None: `elevations`.
         reported_azimuth_offsets: (R,) rad, by which the driver makes points of ranges; None: `azimuth_offsets`.
         edge_offset: how far inside an edge the returns end, beside the part of the step, in beam widths: the mean.
@@ -90,6 +94,9 @@ class SensorModel(Value):
     common_range_sd: float = 0.0
     common_elevation_sd: float = 0.0
     common_azimuth_sd: float = 0.0
+    range_trend_sd: float = 0.0
+    elevation_trend_sd: float = 0.0
+    azimuth_trend_sd: float = 0.0
     reported_elevations: Floats | None = None
     reported_azimuth_offsets: Floats | None = None
     edge_offset: float = 0.0
@@ -121,6 +128,9 @@ class SensorModel(Value):
             "common_range_sd",
             "common_elevation_sd",
             "common_azimuth_sd",
+            "range_trend_sd",
+            "elevation_trend_sd",
+            "azimuth_trend_sd",
             "beam_divergence",
             "beam_aperture",
             "beam_crossing",
@@ -187,6 +197,11 @@ class SensorModel(Value):
         sd = self._by_ring(self.azimuth_sd, self._angle(self.azimuth_error, AZIMUTH_ERROR))
         return sd if self.firing_sd is None else np.hypot(sd, self.firing_sd * (self.azimuth_step or 0.0))
 
+    @property
+    def trend(self) -> Floats:
+        """(R,) what a trend of one adds to each ring: its elevation less the mean of the table, rad."""
+        return np.asarray(self.elevations - self.elevations.mean())
+
     def _angle(self, stated: float | None, usual: float) -> float:
         if stated is not None:
             return stated
@@ -244,6 +259,33 @@ def angle_sds(sensor: SensorModel | None, ring: Ints) -> tuple[Floats, Floats]:
     if sensor is None or ring.max(initial=0) >= sensor.n_rings:
         return np.full(len(ring), ELEVATION_ERROR), np.full(len(ring), AZIMUTH_ERROR)
     return sensor.elevation_sds[ring], sensor.azimuth_sds[ring]
+
+
+def total_angle_sds(sensor: SensorModel | None, ring: Ints) -> tuple[Floats, Floats]:
+    """Return the standard deviations (N,) of where rings look in elevation and azimuth, all errors included, rad.
+
+    Args:
+        sensor: whose rings; None: an unknown sensor.
+        ring: (N,).
+    """
+    up, left = angle_sds(sensor, ring)
+    if sensor is None:
+        return up, left
+    trend = ring_trend(sensor, ring)
+    return (
+        np.sqrt(up**2 + sensor.common_elevation_sd**2 + (sensor.elevation_trend_sd * trend) ** 2),
+        np.sqrt(left**2 + sensor.common_azimuth_sd**2 + (sensor.azimuth_trend_sd * trend) ** 2),
+    )
+
+
+def ring_trend(sensor: SensorModel, ring: Ints) -> Floats:
+    """Return what a trend of one adds to rings (N,), rad: nothing to those that the sensor doesn't have.
+
+    Args:
+        sensor: whose rings.
+        ring: (N,).
+    """
+    return sensor.trend[ring] if ring.max(initial=0) < sensor.n_rings else np.zeros(len(ring))
 
 
 _BY_RING = {

@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     )
     from optshape_graph.factors.static import (
         AZIMUTH,
+        AZIMUTH_TREND,
         BLOOMING,
         BRIGHTNESS,
         COMMON_AZIMUTH,
@@ -70,10 +71,12 @@ if TYPE_CHECKING:
         COMMON_RANGE,
         EDGE_OFFSET,
         ELEVATION,
+        ELEVATION_TREND,
         OF_RANGES,
         OF_RINGS,
         OF_SENSOR,
         RANGE_BIAS,
+        RANGE_TREND,
         BiasedMeasurement,
         SharedError,
         fuse_static,
@@ -93,14 +96,16 @@ _HOME = {
     "sensor_parameters": "AugmentedMeasurement SensorParameterFactor azimuth_directions "
     "edge_motion_rows plane_motion_rows range_directions",
     "shape": "FreeVertexFactor ShapeFactor ShapeMeasurement TemplatePrior VertexFactor shape_rows",
-    "static": "AZIMUTH BLOOMING BRIGHTNESS BiasedMeasurement COMMON_AZIMUTH COMMON_ELEVATION COMMON_RANGE EDGE_OFFSET "
-    "ELEVATION OF_RANGES OF_RINGS OF_SENSOR RANGE_BIAS SharedError fuse_static ring_bias_columns",
+    "static": "AZIMUTH AZIMUTH_TREND BLOOMING BRIGHTNESS BiasedMeasurement COMMON_AZIMUTH COMMON_ELEVATION "
+    "COMMON_RANGE EDGE_OFFSET ELEVATION ELEVATION_TREND OF_RANGES OF_RINGS OF_SENSOR RANGE_BIAS RANGE_TREND "
+    "SharedError fuse_static ring_bias_columns",
     "summary": "LandmarkFactor Summary SummaryFactor summarise",
     "template": "PointToEdgeFactor PointToPlaneFactor TemplateCallbackFactor TemplateFactor",
 }
 
 __all__ = [
     "AZIMUTH",
+    "AZIMUTH_TREND",
     "BLOOMING",
     "BRIGHTNESS",
     "COMMON_AZIMUTH",
@@ -108,10 +113,12 @@ __all__ = [
     "COMMON_RANGE",
     "EDGE_OFFSET",
     "ELEVATION",
+    "ELEVATION_TREND",
     "OF_RANGES",
     "OF_RINGS",
     "OF_SENSOR",
     "RANGE_BIAS",
+    "RANGE_TREND",
     "AugmentedMeasurement",
     "BiasedMeasurement",
     "CheckedFactor",

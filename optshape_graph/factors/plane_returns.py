@@ -15,6 +15,7 @@ from optshape_graph.factors.static import (
     BRIGHTNESS,
     COMMON_RANGE,
     RANGE_BIAS,
+    RANGE_TREND,
     BiasedMeasurement,
     SharedError,
     angle_entries,
@@ -22,7 +23,7 @@ from optshape_graph.factors.static import (
 )
 from optshape_graph.groups import Groups
 from optshape_graph.scan import Scan
-from optshape_graph.sensor import SensorModel
+from optshape_graph.sensor import SensorModel, ring_trend
 from optshape_graph.target import FLATNESS
 
 
@@ -74,7 +75,7 @@ class PlaneReturns(Value):
         )
 
     def with_angles(self, normal: Floats, ring: Ints, sensor: SensorModel | None) -> PlaneReturns:
-        """Return them with errors of each ring's elevation and azimuth, and of all ranges together.
+        """Return them with errors of each ring's elevation and azimuth, and of what all ranges share.
 
         Args:
             normal: (3,) unit normal of the plane, LiDAR frame.
@@ -85,11 +86,14 @@ class PlaneReturns(Value):
             upward(self.points) @ normal / self.sigma, leftward(self.points) @ normal / self.sigma, ring, sensor
         )
         found = self.sharing(errors, moved, which)
-        if sensor is None or sensor.common_range_sd == 0:
-            return found
-        return found.sharing([SharedError(COMMON_RANGE)], self._by_ranges(normal, sensor.common_range_sd))
+        if sensor is not None and sensor.common_range_sd > 0:
+            found = found.sharing([SharedError(COMMON_RANGE)], self._by_ranges(normal, sensor.common_range_sd))
+        if sensor is not None and sensor.range_trend_sd > 0:
+            by_trend = self._by_ranges(normal, sensor.range_trend_sd * ring_trend(sensor, ring))
+            found = found.sharing([SharedError(RANGE_TREND)], by_trend)
+        return found
 
-    def _by_ranges(self, normal: Floats, sigma: float) -> Floats:
+    def _by_ranges(self, normal: Floats, sigma: float | Floats) -> Floats:
         """(N, 1) how far an error of all ranges, of a standard deviation in metres, moves each residual."""
         cosine = np.abs(self.points @ normal) / np.linalg.norm(self.points, axis=1)
         return np.asarray(sigma * cosine / self.sigma)[:, None]
@@ -232,12 +236,13 @@ def plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
     # Reduced group by group, and at last what is left of all.
     R = factored(rows)
     columns = np.column_stack([which, np.broadcast_to(k + np.arange(5), (len(which), 5))])
-    final, left = R[:, :own], R[:, own:]
-    whole, rest = np.zeros((k + 5, k + 5)), np.zeros((*left.shape[:2], k + 5))
+    common = np.ones(k + 5, dtype=bool)
+    common[which[:, :own]] = False
+    whole, final, left = np.zeros((k + 5, k + 5)), R[:, :own], R[:, own:, own:]
     whole[columns[:, : final.shape[1], None], columns[:, None]] = final
-    np.put_along_axis(rest, np.broadcast_to(columns[:, None], left.shape), left, axis=2)
-    common = np.setdiff1d(np.arange(k + 5), which[:, :own])
-    whole[np.ix_(common, common)] = triangular(rest[..., common].reshape(-1, len(common)))
+    rest = np.zeros((*left.shape[:2], np.count_nonzero(common)))
+    np.put_along_axis(rest, np.broadcast_to((np.cumsum(common) - 1)[columns[:, None, own:]], left.shape), left, axis=2)
+    whole[np.ix_(common, common)] = triangular(rest.reshape(-1, rest.shape[2]))
     stack, place = np.zeros((k + 13, k + 13)), np.concatenate([np.arange(k), k + np.array([*FIRST_ROW, 12])])
     stack[np.ix_(place, place)] = whole
     return BiasedMeasurement(stack, len(returns.points), np.eye(4), returns.errors)

@@ -28,7 +28,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, marginalised, root, triangular, triangular_by_parts
 from optshape_graph.factors.measurement import TemplateMeasurement, substitution
 from optshape_graph.se3 import adjoint, inverse, vec, vec_derivative
-from optshape_graph.sensor import SensorModel, angle_sds
+from optshape_graph.sensor import SensorModel, angle_sds, ring_trend
 
 
 def ring_bias_columns(
@@ -66,13 +66,15 @@ OF_RINGS = (RANGE_BIAS, ELEVATION, AZIMUTH)
 """Kinds of errors that a ring of a sensor keeps, in all scans of it."""
 
 COMMON_RANGE, COMMON_ELEVATION, COMMON_AZIMUTH = "common range bias", "common elevation", "common azimuth"
-OF_SENSOR = (COMMON_RANGE, COMMON_ELEVATION, COMMON_AZIMUTH, EDGE_OFFSET)
-"""Kinds of errors that all rings of a sensor have in common, in all scans of it."""
+RANGE_TREND, ELEVATION_TREND, AZIMUTH_TREND = "trend of range bias", "trend of elevation", "trend of azimuth"
+OF_SENSOR = (COMMON_RANGE, COMMON_ELEVATION, COMMON_AZIMUTH, RANGE_TREND, ELEVATION_TREND, AZIMUTH_TREND, EDGE_OFFSET)
+"""Kinds of errors that all rings of a sensor have in common, in all scans of it: the same for all, or growing with the
+elevation."""
 
 BRIGHTNESS, BLOOMING = "range bias by brightness", "blooming"
 """Kinds of errors that a surface's brightness makes: of all its ranges; and of how much further its rings reach."""
 
-OF_RANGES = (RANGE_BIAS, COMMON_RANGE, BRIGHTNESS)
+OF_RANGES = (RANGE_BIAS, COMMON_RANGE, RANGE_TREND, BRIGHTNESS)
 """Kinds of errors of ranges that many returns of a scan share."""
 
 SURFACE = ("surface turned about y", "surface turned about z", "surface shifted along x")
@@ -310,9 +312,12 @@ def angle_entries(
     moved, which = [up * by_elevation, left * by_azimuth], [column, len(rings) + column]
     errors = [of_ring(kind, k) for kind in (ELEVATION, AZIMUTH) for k in rings.tolist()]
     if sensor is not None:
+        trend = ring_trend(sensor, ring)
         for kind, sd, by in (
             (COMMON_ELEVATION, sensor.common_elevation_sd, by_elevation),
             (COMMON_AZIMUTH, sensor.common_azimuth_sd, by_azimuth),
+            (ELEVATION_TREND, sensor.elevation_trend_sd, trend * by_elevation),
+            (AZIMUTH_TREND, sensor.azimuth_trend_sd, trend * by_azimuth),
         ):
             if sd > 0:
                 moved.append(sd * by)

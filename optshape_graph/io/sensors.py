@@ -55,8 +55,17 @@ _BY_RING = {"range_bias_m": "range_bias", "range_bias_m_sd": "range_bias_sd"}
 _FIRING = {"firing_times_us": "firing_phases", "firing_times_us_sd": "firing_sd"}
 """Keys of lists of times, which the attributes have as shares of the cycle of firings."""
 
-_SHARES = {"edge_offset": "edge_offset", "edge_offset_sd": "edge_offset_sd", "odd_ends": "odd_ends"}
+_SHARES = {
+    "edge_offset": "edge_offset",
+    "edge_offset_sd": "edge_offset_sd",
+    "odd_ends": "odd_ends",
+    "elevation_trend_sd": "elevation_trend_sd",
+    "azimuth_trend_sd": "azimuth_trend_sd",
+}
 """Keys of numbers without a unit, likewise."""
+
+_TREND = "range_bias_trend_m_per_deg_sd"
+"""Key of `range_trend_sd`, which the attribute has by radians."""
 
 ALIKE = np.radians(1.5)
 """Up to this much the beams of a unit differ from its model's data sheet, rad."""
@@ -99,6 +108,8 @@ def _own(root: Node) -> SensorModel:
     parameters: dict[str, Any] = {
         attribute: fields[key].number() for key, attribute in (_METRES | _SHARES).items() if key in fields
     }
+    if _TREND in fields:
+        parameters["range_trend_sd"] = float(np.degrees(fields[_TREND].number()))
     for key, attribute in _DEGREES.items():
         if key in fields:
             parameters[attribute] = float(np.radians(fields[key].number()))
@@ -178,4 +189,5 @@ def save_sensor(path: str | Path, sensor: SensorModel) -> None:
         value = float(getattr(sensor, attribute))
         if np.isfinite(value):  # without a largest range, the key is left out
             document[key] = value
+    document[_TREND] = float(np.radians(sensor.range_trend_sd))
     write_yaml(path, document)

@@ -30,14 +30,18 @@ from optshape_graph.pose.ends import (
 from optshape_graph.pose.evidence import Evidence, ends_of
 from optshape_graph.pose.sampling import Components, Firings, LogDensity, Rays, SampledPose, Samples, sample
 from optshape_graph.se3 import adjoint, apply, cross, difference, exp, inverse, vec, vec_derivative
-from optshape_graph.sensor import SensorModel, angle_sds
+from optshape_graph.sensor import SensorModel, total_angle_sds
 from optshape_graph.target import Target
 
-AT_ONCE = 240
+AT_ONCE = 480
 """Ring ends of the scans that are worked on at once: more, and their candidates' arrays don't stay in cache."""
 
 ALTERNATIVES = 6
 """How many associations next to the best take part in the estimate."""
+
+TURNS, GAIN = 3, 0.5
+"""How often associations next to the best are worked out at most, and the gain of log likelihood below which they are
+not again."""
 
 SURE = (6, 15.0)
 """Rings, and lead of the best mode by its associations, at which no poses need be drawn: they never disagreed there."""
@@ -110,8 +114,9 @@ def find_candidates(evidences: Sequence[Evidence]) -> list[Posterior]:
     """Find the posterior of the pose under every association that is worth it, likeliest first, each once, by scan.
 
     Every consistent association of ring ends to edges gives a start. A first round tells the starts apart. A second
-    works out the best, the associations next to it, and the poses that the target's shape takes for it: half a turn,
-    and those that bring it nearest to itself.
+    works out the best, the associations next to it, the one that its own pose has, and the poses that the target's
+    shape takes for it: half a turn, and those that bring it nearest to itself. Where one of these is better, the same
+    is done about it.
 
     Args:
         evidences: of scans with rings, in any number, each with its target.
@@ -145,23 +150,36 @@ def _find_together(evidences: Sequence[Evidence]) -> list[Posterior]:
     starts = enumerate_poses([one.problem.edges for one in evidences], [one.plane for one in evidences], targets)
     T = [_upright(poses, target) for poses, target in zip(starts, targets, strict=True)]
     scan, first = work_out(ends, _scan_of(T), np.concatenate(T), None, sweeps=2)
-    order = np.lexsort((-first.log_likelihood, scan))
-    best = first.select(order[np.searchsorted(scan[order], np.arange(len(targets)))])
-    T, labels = [], []
-    for k, (target, beside) in enumerate(zip(targets, alternative_labels(ends, best, ALTERNATIVES), strict=True)):
-        pose, own = best.T_target_lidar[k : k + 1], np.vstack([best.geometry.labels[k], beside])
-        turned = _upright(target.lookalike_transforms @ pose, target)
-        T.append(np.concatenate([np.repeat(pose, len(own), axis=0), turned]))
-        labels.append(np.vstack([own, np.full((len(turned), own.shape[1]), -1)]))  # a turned target's are its own
-    again, second = work_out(ends, _scan_of(T), np.concatenate(T), np.concatenate(labels), sweeps=4)
-    scan, found = np.concatenate([again, scan]), concatenate([second, first])
+    every, found, improved = np.arange(len(targets)), first, np.arange(len(targets))
+    for turn in range(TURNS):
+        best = found.select(_best(scan, found, improved))
+        T, labels = [], []
+        beside = alternative_labels(ends.take(improved), best, ALTERNATIVES)
+        for k, target in enumerate([targets[of] for of in improved]):
+            pose, own = best.T_target_lidar[k : k + 1], np.vstack([best.geometry.labels[k], beside[k]])
+            free = np.concatenate([pose, _upright(target.lookalike_transforms @ pose, target)]) if turn == 0 else pose
+            T.append(np.concatenate([np.repeat(pose, len(own), axis=0), free]))
+            labels.append(np.vstack([own, np.full((len(free), own.shape[1]), -1)]))  # a pose's labels are its own
+        again, more = work_out(ends, improved[_scan_of(T)], np.concatenate(T), np.concatenate(labels), sweeps=4)
+        itself = more.log_likelihood[np.searchsorted(again, improved)]
+        gain = more.log_likelihood[_best(again, more, improved)] - itself
+        scan, found = np.concatenate([again, scan]), concatenate([more, found])
+        improved = improved[gain > GAIN]
+        if not len(improved):
+            break
     once = firsts(scan, found.geometry.labels)
     order = once[np.lexsort((-found.log_likelihood[once], scan[once]))]
-    bounds = np.searchsorted(scan[order], np.arange(len(targets) + 1)).tolist()
+    bounds = np.searchsorted(scan[order], np.append(every, len(every))).tolist()
     return [
         found.select(order[a:b], len(evidence.bounded.edges))
         for (a, b), evidence in zip(pairwise(bounds), evidences, strict=True)
     ]
+
+
+def _best(scan: Ints, found: Posterior, wanted: Ints) -> Ints:
+    """Index (K,) of the likeliest of the posteriors of scans (C,) in each of some scans (K,)."""
+    order = np.lexsort((-found.log_likelihood, scan))
+    return order[np.searchsorted(scan[order], wanted)]
 
 
 def _scan_of(of_scans: Sequence[Floats]) -> Ints:
@@ -231,7 +249,7 @@ def scan_log_likelihood(evidence: Evidence) -> LogDensity:
         rays = Firings.of(scan, ends, options.flatness, options.lost_ends_of_rays, options.lost_span)
     else:
         odd_ends = scan.sensor.odd_ends if scan.sensor else SensorModel.odd_ends
-        up, left = angle_sds(scan.sensor, ends.ring[::2])
+        up, left = total_angle_sds(scan.sensor, ends.ring[::2])
         off = np.sqrt(0.5 * (up**2 + left**2))
         rays = Rays.of(scan, ends, beam.width(ranges) / ranges, off, 2 * target.circumradius, odd_ends)
 

@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 
 from optshape_graph import InputError
 from optshape_graph.factors import (
+    AZIMUTH,
     EDGE_OFFSET,
     ELEVATION,
     RANGE_BIAS,
@@ -16,7 +19,10 @@ from optshape_graph.factors import (
     range_directions,
     ring_bias_columns,
 )
+from optshape_graph.factors.plane_returns import returns_on_plane
 from optshape_graph.factors.static import seen_scale
+from optshape_graph.io import load_sensor
+from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, inverse
 from tests.factors.support import TARGET, edge_points, log, minimise, random_pose, seeds
 
@@ -224,3 +230,27 @@ def test_errors_are_as_large_as_scans_show_them(size, seen):
         ]  # fmt: skip
         found.append(seen_scale(sum(measurements[1:], measurements[0]), ELEVATION, 1.0))
     assert np.median(found) == pytest.approx(seen, abs=0.5 * seen)
+
+
+@pytest.mark.parametrize(
+    ("trend", "of_ring", "error"),
+    [
+        ("range_trend_sd", "range_bias_sds", RANGE_BIAS),
+        ("elevation_trend_sd", "elevation_sds", ELEVATION),
+        ("azimuth_trend_sd", "azimuth_sds", AZIMUTH),
+    ],
+)
+def test_a_trend_is_all_rings_off_by_their_elevations(trend, of_ring, error):
+    """Its column is the sum of the rings', each as often as a trend of its size moves it, to rounding."""
+    rng = np.random.default_rng(3)
+    sensor = replace(load_sensor("vlp16"), **{trend: 0.02})
+    ring = np.repeat(np.arange(16), 4)
+    points = np.column_stack([np.full(64, 5.0), rng.normal(size=64), 5.0 * np.tan(sensor.elevations[ring])])
+    normal = np.array([0.8, 0.36, 0.48])
+    returns = returns_on_plane(Scan(points, ring=ring, sensor=sensor), normal, 4.0).with_angles(normal, ring, sensor)
+    moved = np.zeros((64, len(returns.errors)))
+    np.put_along_axis(moved, returns.which, returns.moved, axis=1)
+    column = dict(zip(returns.errors, moved.T, strict=True))
+    sds = getattr(sensor, of_ring)
+    of_rings = sum(column[SharedError(error, ring=k)] * 0.02 * sensor.trend[k] / sds[k] for k in range(16))
+    assert column[SharedError(f"trend of {error}")] == pytest.approx(of_rings, abs=1e-12)

@@ -47,6 +47,9 @@ def sensors(draw: st.DrawFn) -> SensorModel:
         firing_phases=(phases := draw(st.none() | st.lists(st.floats(0, 0.99), min_size=n, max_size=n).map(np.array))),
         firing_sd=None if phases is None else draw(st.none() | st.lists(small, min_size=n, max_size=n).map(np.array)),
         firing_period=draw(st.floats(1e-6, 1e-3)),
+        range_trend_sd=draw(small),
+        elevation_trend_sd=draw(small),
+        azimuth_trend_sd=draw(small),
         edge_offset=draw(st.floats(-0.5, 0.5)),
         edge_offset_sd=draw(small),
         range_resolution=draw(small),
@@ -64,6 +67,7 @@ def test_saved_is_loaded(tmp_path_factory: pytest.TempPathFactory, sensor: Senso
         "range_bias", "elevation_sd", "edge_offset", "edge_offset_sd",
         "elevations", "azimuth_step", "range_noise", "ring_bias", "beam_divergence", "azimuth_offsets",
         "range_resolution", "min_range", "max_range", "brightness_bias", "blooming", "odd_ends",
+        "range_trend_sd", "elevation_trend_sd", "azimuth_trend_sd",
     ):  # fmt: skip
         value = getattr(sensor, name)
         if value is None:

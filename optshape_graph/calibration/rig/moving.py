@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.calibration.camera.session import target_in_scan
+from optshape_graph.calibration.camera.scans import target_in_scan
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.consensus import rigid_fit
 from optshape_graph.calibration.rig.graph import RigGraph

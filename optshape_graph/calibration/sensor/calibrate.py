@@ -19,8 +19,8 @@ from optshape_graph.calibration.sensor.noise import Sampling, drift_of, sampling
 from optshape_graph.calibration.sensor.placements import Placement, of_recording, of_session, one_lidar
 from optshape_graph.calibration.sensor.result import PlacementResult, SensorCalibration
 from optshape_graph.calibration.sensor.seen import Seen
-from optshape_graph.calibration.sensor.told import directions, in_common, silent_rings
-from optshape_graph.calibration.sensor.unknowns import EDGE_SYSTEMATIC, RingDeviations, common_sd
+from optshape_graph.calibration.sensor.told import directions, silent_rings
+from optshape_graph.calibration.sensor.unknowns import COMMON, EDGE_SYSTEMATIC, Deviation, prior_sds
 from optshape_graph.calibration.verdict import Finding
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.factors import AZIMUTH, EDGE_OFFSET, ELEVATION, RANGE_BIAS
@@ -154,18 +154,9 @@ def calibrate_placements(
     held = tuple(kind for kind in IN_TURN if kind not in kept)
     mean, covariance = posterior_of(joint, joint.errors, kept)
     joint = replace(joint, beta=mean, covariance=covariance)
-    dev = RingDeviations.of(sensor, joint.errors, mean, np.sqrt(np.diag(covariance)))
+    deviations = {kind: Deviation.of(sensor, kind, joint.errors, mean, covariance) for kind in COMMON}
     sampled = sampling(seen, sensor.n_rings)
-    calibrated = _calibrated(sensor, dev, joint, sampled, drift, kept)
-    silent = silent_rings(
-        sensor,
-        [
-            (dev.range_bias_sd, sensor.range_bias_sds),
-            (dev.elevation_sd, sensor.elevation_sds),
-            (dev.azimuth_sd, sensor.azimuth_sds),
-        ],
-    )
-    told = directions(joint, sensor)
+    calibrated = _calibrated(sensor, deviations, joint, sampled, drift, kept)
     result = SensorCalibration(
         sensor=calibrated,
         given=sensor,
@@ -176,8 +167,8 @@ def calibrate_placements(
             )
             for p, placement in enumerate(placements)
         ),
-        directions=told,
-        silent=silent,
+        directions=directions(deviations),
+        silent=silent_rings(deviations.values()),
         sampling=sampled,
         drift=drift,
         before=before,
@@ -243,37 +234,37 @@ def _ring_residuals(
 
 
 def _calibrated(
-    sensor: SensorModel, dev: RingDeviations, joint: Joint, sampled: Sampling, drift: float, kept: Collection[str]
+    sensor: SensorModel,
+    deviations: Mapping[str, Deviation],
+    joint: Joint,
+    sampled: Sampling,
+    drift: float,
+    kept: Collection[str],
 ) -> SensorModel:
     """The sensor's file with what was found; of what clouds are reported by, that is kept beside it."""
     nothing = np.zeros(sensor.n_rings)
     offsets = nothing if sensor.azimuth_offsets is None else sensor.azimuth_offsets
     reported = sensor.as_reported
-    elevations = sensor.elevations + dev.elevation
+    elevations = sensor.elevations + deviations[ELEVATION].mean
     if (np.diff(elevations) <= 0).any():
         k = int((np.diff(elevations) <= 0).argmax())
         raise EstimationError(f"rings {k} and {k + 1} would cross: the boards do not fit sensor '{sensor.name}'")
     edge = next(i for i, error in enumerate(joint.errors) if error.kind == EDGE_OFFSET)
-    common = {
-        kind: in_common(joint, sensor, kind) if kind in kept else common_sd(sensor, kind)
-        for kind in (RANGE_BIAS, ELEVATION, AZIMUTH)
-    }
-
-    def own(sd: Floats, kind: str) -> Floats:
-        """What is a ring's own in a standard deviation (R,), where it was calibrated."""
-        return np.sqrt(np.maximum(sd**2 - common[kind] ** 2, 0.0)) if kind in kept else sd
-
+    sds = {kind: of.parts if kind in kept else prior_sds(sensor, kind) for kind, of in deviations.items()}
     edge_sd = float(np.sqrt(joint.covariance[edge, edge])) * sensor.edge_offset_sd
     changes: dict[str, Any] = {
-        "range_bias": (nothing if sensor.range_bias is None else sensor.range_bias) + dev.range_bias,
-        "range_bias_sd": np.hypot(own(dev.range_bias_sd, RANGE_BIAS), drift),
+        "range_bias": (nothing if sensor.range_bias is None else sensor.range_bias) + deviations[RANGE_BIAS].mean,
+        "range_bias_sd": np.hypot(sds[RANGE_BIAS][0], drift),
         "elevations": elevations,
-        "elevation_sd": own(dev.elevation_sd, ELEVATION),
-        "azimuth_offsets": offsets + dev.azimuth,
-        "azimuth_sd": own(dev.azimuth_sd, AZIMUTH),
-        "common_range_sd": common[RANGE_BIAS],
-        "common_elevation_sd": common[ELEVATION],
-        "common_azimuth_sd": common[AZIMUTH],
+        "elevation_sd": sds[ELEVATION][0],
+        "azimuth_offsets": offsets + deviations[AZIMUTH].mean,
+        "azimuth_sd": sds[AZIMUTH][0],
+        "common_range_sd": sds[RANGE_BIAS][1],
+        "common_elevation_sd": sds[ELEVATION][1],
+        "common_azimuth_sd": sds[AZIMUTH][1],
+        "range_trend_sd": sds[RANGE_BIAS][2],
+        "elevation_trend_sd": sds[ELEVATION][2],
+        "azimuth_trend_sd": sds[AZIMUTH][2],
         "reported_elevations": reported.elevations,
         "reported_azimuth_offsets": nothing if reported.azimuth_offsets is None else reported.azimuth_offsets,
         "edge_offset": sensor.edge_offset + float(joint.beta[edge]) * sensor.edge_offset_sd,

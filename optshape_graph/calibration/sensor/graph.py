@@ -27,7 +27,8 @@ ROUNDS = 30
 """Turns at most."""
 
 MOVING = 6
-"""Turns in which a ring may come to leave by another edge: near a vertex it could go on to change its mind."""
+"""Turns in which a ring may come to leave by another edge, and an end to count for nothing: they could go on to change
+their minds."""
 
 LOOSE = gtsam.noiseModel.Isotropic.Sigma(6, 1.0)
 """Of a pose about where it starts, rad and metres: rings that end on two parallel sides alone leave it open."""

@@ -14,6 +14,7 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.sensor.graph import Joint
 from optshape_graph.calibration.sensor.seen import Seen, of_placement
+from optshape_graph.calibration.sensor.unknowns import kind_of
 from optshape_graph.factors import AZIMUTH, EDGE_OFFSET, ELEVATION, RANGE_BIAS, SharedError
 from optshape_graph.factors._rows import triangular
 from optshape_graph.se3 import vec, vec_derivative
@@ -81,7 +82,7 @@ def about_errors(seen: Sequence[Seen], T_target_lidar: Floats) -> tuple[Floats, 
 def posterior_of(joint: Joint, errors: Sequence[SharedError], kinds: Collection[str]) -> tuple[Floats, Floats]:
     """Return mean (k,) and covariance (k, k) of errors of some kinds by a solution, in prior standard deviations.
 
-    Others keep their prior.
+    What all rings share of a kind goes with it. Others keep their prior.
 
     Args:
         joint: the solution.
@@ -89,7 +90,7 @@ def posterior_of(joint: Joint, errors: Sequence[SharedError], kinds: Collection[
         kinds: of errors that are taken from it.
     """
     place: Mapping[SharedError, int] = {error: i for i, error in enumerate(joint.errors)}
-    known = np.array([k for k, error in enumerate(errors) if error in place and error.kind in kinds], int)
+    known = np.array([k for k, error in enumerate(errors) if error in place and kind_of(error) in kinds], int)
     there = np.array([place[errors[k]] for k in known], int)
     mean, covariance = np.zeros(len(errors)), np.eye(len(errors))
     mean[known] = joint.beta[there]

@@ -15,7 +15,7 @@ from typing import Self
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints, Value
+from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.calibration.sensor.unknowns import (
     DRIFT,
     EDGES_AT_RANGE,
@@ -67,6 +67,8 @@ class Seen(Value):
         ring: (N,) of these returns.
         noise: standard deviation of ranges within rings, metres.
         labels: (M,) edge of each ring end.
+        odd: (M,) whether it counts for nothing: far from any place that a last return may be at, it is a stray, or of
+            something else.
         precision: (M,) of each Gaussian across its edge, 1/m2.
         information: (M,) its mean times its precision, 1/m.
     """
@@ -80,6 +82,7 @@ class Seen(Value):
     ring: Ints
     noise: float
     labels: Ints
+    odd: Bools
     precision: Floats
     information: Floats
 
@@ -120,7 +123,7 @@ class Seen(Value):
         information = -precision * problem.edges.middle * g.along[0]
         return cls(
             found.scan, target, placement, problem, plane_measurement(returns), returns, found.scan.ring[usual],
-            noise / cosine, g.labels[0], precision, information,
+            noise / cosine, g.labels[0], np.zeros(len(precision), dtype=bool), precision, information,
         )  # fmt: skip
 
     def drifting(self, drift: float) -> Self:
@@ -195,7 +198,7 @@ class Seen(Value):
         rings, column = np.unique(self.ring, return_inverse=True)
         return rings, np.bincount(column, residual / cosine) / np.bincount(column)
 
-    def updated(self, T_target_lidar: Floats, place: Ints, beta: Floats, covariance: Floats, relabel: bool) -> Seen:
+    def updated(self, T_target_lidar: Floats, place: Ints, beta: Floats, covariance: Floats, undecided: bool) -> Seen:
         """Return it with its Gaussians made again.
 
         Args:
@@ -203,7 +206,8 @@ class Seen(Value):
             place: (j,) numbers, among the errors of the solution, of those of `rows`.
             beta: (k,) all errors of the solution, in prior standard deviations.
             covariance: (6 + k, 6 + k) of the right perturbation of the pose, rad and metres, and of the errors.
-            relabel: whether rings may leave by another edge now.
+            undecided: whether rings may leave by another edge now, and ends become odd or cease to be: of two that
+                each make the other odd, one by one would go on for ever.
         """
         rows = self.rows(T_target_lidar)
         g = rows.geometry
@@ -212,19 +216,20 @@ class Seen(Value):
         J[:, 6 + place] = rows.B
         prediction = rows.A @ vec(T_target_lidar) + rows.constant + rows.B @ beta[place]
         variance = ((J @ covariance) * J).sum(axis=1)
-        intervals = residual_intervals(g.along, self.problem.ends)
+        intervals = residual_intervals(g, self.problem.ends)
         lower, upper, log_density = (part[:, 0] for part in intervals)
         site = update_sites(
             prediction, variance, _own(g), (lower, upper, log_density), self.precision, self.information
         )
-        precision = self.precision + DAMPING * (site.precision - self.precision)
-        information = self.information + DAMPING * (site.information - self.information)
-        # An end far from any place that a last return may be at is a stray, or of something else: it says nothing.
-        seen = site.cavity_variance + _own(g)
-        beyond = np.maximum(lower.min(axis=0) - site.cavity_mean, site.cavity_mean - upper.max(axis=0))
-        odd = beyond > ODD * np.sqrt(seen)
+        step = DAMPING if undecided else DAMPING / 2  # a Gaussian could swing about where it belongs
+        precision = self.precision + step * (site.precision - self.precision)
+        information = self.information + step * (site.information - self.information)
+        seen, odd = site.cavity_variance + _own(g), self.odd
+        if undecided:
+            beyond = np.maximum(lower.min(axis=0) - site.cavity_mean, site.cavity_mean - upper.max(axis=0))
+            odd = beyond > ODD * np.sqrt(seen)
         precision, information = np.where(odd, 1e-6 / seen, precision), np.where(odd, 0.0, information)
-        if not relabel:
+        if not undecided:
             return replace(self, precision=precision, information=information)
         # Where a ring leaves by another edge now, its Gaussian begins anew.
         labels = self.problem.geometry(T_target_lidar[None]).labels[0]
@@ -234,7 +239,7 @@ class Seen(Value):
             fresh = 1.0 / (_own(g) + g.along[0] ** 2 * self.problem.edges.width**2 / 12)
             precision = np.where(moved, fresh, precision)
             information = np.where(moved, -fresh * self.problem.edges.middle * g.along[0], information)
-        return replace(self, labels=labels, precision=precision, information=information)
+        return replace(self, labels=labels, odd=odd, precision=precision, information=information)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

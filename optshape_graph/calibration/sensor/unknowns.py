@@ -14,14 +14,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Value
+from optshape_graph._arrays import Bools, Floats, Value
 from optshape_graph.factors import (
     AZIMUTH,
+    AZIMUTH_TREND,
     COMMON_AZIMUTH,
     COMMON_ELEVATION,
     COMMON_RANGE,
     ELEVATION,
+    ELEVATION_TREND,
     RANGE_BIAS,
+    RANGE_TREND,
     SharedError,
 )
 from optshape_graph.sensor import SensorModel
@@ -39,6 +42,9 @@ BOW_SD = 2e-3
 RANGE_BY_EDGES_SD = 0.01
 """Range bias, metres, that the systematic of ring ends may look like: 0.03 of a beam at an edge half a metre from a
 board's middle, five metres away."""
+
+PASSES = 10
+"""In which a covariance is taken apart; each leaves a few parts in the number of rings of what the last one left."""
 
 EDGE_SYSTEMATIC = 0.03
 """Standard deviation of what the ends of rings have in common that no model has, in beam widths."""
@@ -60,64 +66,99 @@ def bow(target: Target, yz: Floats) -> Floats:
     return BOW_SD * np.stack([y * y, z * z, 2 * y * z], axis=-1)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class RingDeviations(Value):
-    """How far each ring of a sensor is off its file.
-
-    Attributes:
-        range_bias: (R,) metres by which it measures too far.
-        elevation: (R,) rad by which it looks higher.
-        azimuth: (R,) rad by which it looks farther to the left.
-        range_bias_sd: (R,) standard deviation, metres.
-        elevation_sd: (R,) rad.
-        azimuth_sd: (R,) rad.
-    """
-
-    range_bias: Floats
-    elevation: Floats
-    azimuth: Floats
-    range_bias_sd: Floats
-    elevation_sd: Floats
-    azimuth_sd: Floats
-
-    @classmethod
-    def of(cls, sensor: SensorModel, errors: Sequence[SharedError], beta: Floats, sd: Floats) -> RingDeviations:
-        """Return the deviations that errors are; those of rings that were not seen are what the file says.
-
-        Args:
-            sensor: the file that is calibrated.
-            errors: (k,) the unknowns.
-            beta: (k,) in prior standard deviations.
-            sd: (k,) of them, in prior standard deviations.
-        """
-        columns = []
-        for kind in (RANGE_BIAS, ELEVATION, AZIMUTH):
-            prior = prior_sds(sensor, kind)
-            mean, left, together = np.zeros(sensor.n_rings), np.ones(sensor.n_rings), 0.0
-            for error, value, spread in zip(errors, beta, sd, strict=True):
-                if error.kind == kind and error.ring is not None:
-                    mean[error.ring], left[error.ring] = value, spread
-                elif error.kind == COMMON[kind]:
-                    together = value * common_sd(sensor, kind)
-            # A range that is measured too far is pulled in by the unknown; angles are raised by it.
-            columns.append((mean * prior + together, left * prior))
-        (b, sb), (e, se), (a, sa) = columns
-        return cls(-b, e, a, sb, se, sa)
-
-
 COMMON = {RANGE_BIAS: COMMON_RANGE, ELEVATION: COMMON_ELEVATION, AZIMUTH: COMMON_AZIMUTH}
 """What all rings have in common of a kind of error."""
 
+TREND = {RANGE_BIAS: RANGE_TREND, ELEVATION: ELEVATION_TREND, AZIMUTH: AZIMUTH_TREND}
+"""What grows from ring to ring with the elevation."""
 
-def common_sd(sensor: SensorModel, kind: str) -> float:
-    """Return the standard deviation that the sensor's file has for what all rings have in common, metres or rad."""
+
+def kind_of(error: SharedError) -> str:
+    """Return the kind of rings' errors that an error is part of; of another, its own kind."""
+    return next((kind for kind in COMMON if error.kind in (COMMON[kind], TREND[kind])), error.kind)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Deviation(Value):
+    """How far each ring of a sensor is off its file, in range (metres, too far) or in an angle (rad, up or left).
+
+    Attributes:
+        mean: (R,) metres or rad.
+        covariance: (R, R) of it, metres or rad squared; of rings that were not seen, what the file says.
+        prior: (R, R) by the file, metres or rad squared.
+        seen: (R,) whether a ring was.
+        trend: (R,) what a trend of one adds to each ring, rad.
+    """
+
+    mean: Floats
+    covariance: Floats
+    prior: Floats
+    seen: Bools
+    trend: Floats
+
+    @classmethod
+    def of(
+        cls, sensor: SensorModel, kind: str, errors: Sequence[SharedError], beta: Floats, covariance: Floats
+    ) -> Deviation:
+        """Return the deviation that errors add up to.
+
+        Args:
+            sensor: the file that is calibrated.
+            kind: of a ring's errors.
+            errors: (k,) the unknowns.
+            beta: (k,) in prior standard deviations.
+            covariance: (k, k) of them, in those standard deviations squared.
+        """
+        own, common, trend = prior_sds(sensor, kind)
+        moved, seen = np.zeros((sensor.n_rings, len(errors))), np.zeros(sensor.n_rings, dtype=bool)
+        for k, error in enumerate(errors):
+            if error.kind == kind and error.ring is not None:
+                moved[error.ring, k], seen[error.ring] = own[error.ring], True
+            elif error.kind == COMMON[kind]:
+                moved[:, k] = common
+            elif error.kind == TREND[kind]:
+                moved[:, k] = trend * sensor.trend
+        unseen = np.diag(np.where(seen, 0.0, own) ** 2)
+        # A range that is measured too far is pulled in by the unknown; angles are raised by it.
+        sign = -1.0 if kind == RANGE_BIAS else 1.0
+        return cls(
+            sign * moved @ beta, moved @ covariance @ moved.T + unseen, moved @ moved.T + unseen, seen, sensor.trend
+        )
+
+    @property
+    def sd(self) -> Floats:
+        """(R,) standard deviation of each ring's, metres or rad."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def parts(self) -> tuple[Floats, float, float]:
+        """The covariance as a file states it: standard deviations of each ring's own error (R,), of one that all rings
+        share, and of a trend from ring to ring with the elevation, per rad.
+
+        The shared ones are the mean and the trend of the rings that were seen, each weighed by what would be left of
+        its variance if all other rings were known; less what the rings' own errors explain of them.
+        """
+        variance = np.diag(self.covariance)
+        jitter = 1e-9 * variance.max() + 1e-30  # errors of rings that are exact have no inverse
+        least = 1.0 / np.diag(np.linalg.inv(self.covariance + jitter * np.eye(len(variance))))
+        design = np.column_stack([np.ones(len(variance)), self.trend])
+        fit = np.linalg.pinv(design * np.where(self.seen, 1.0 / np.sqrt(least), 0.0)[:, None])
+        fit = fit * np.where(self.seen, 1.0 / np.sqrt(least), 0.0)
+        of_fit, own = np.diag(fit @ self.covariance @ fit.T), least
+        for _ in range(PASSES):
+            together = np.maximum(of_fit - fit**2 @ own, 0.0)
+            own = np.maximum(variance - design**2 @ together, least)
+        common, trend = np.sqrt(together).tolist()
+        return np.sqrt(own), common, trend
+
+
+def prior_sds(sensor: SensorModel, kind: str) -> tuple[Floats, float, float]:
+    """Return the standard deviations that a sensor's file has for a kind of its rings' errors, metres or rad.
+
+    Of each ring's own (R,), of what all rings share, and of their trend, per rad.
+    """
     return {
-        RANGE_BIAS: sensor.common_range_sd,
-        ELEVATION: sensor.common_elevation_sd,
-        AZIMUTH: sensor.common_azimuth_sd,
+        RANGE_BIAS: (sensor.range_bias_sds, sensor.common_range_sd, sensor.range_trend_sd),
+        ELEVATION: (sensor.elevation_sds, sensor.common_elevation_sd, sensor.elevation_trend_sd),
+        AZIMUTH: (sensor.azimuth_sds, sensor.common_azimuth_sd, sensor.azimuth_trend_sd),
     }[kind]
-
-
-def prior_sds(sensor: SensorModel, kind: str) -> Floats:
-    """Return the standard deviations (R,) that the sensor's file has for an error of its rings, metres or rad."""
-    return {RANGE_BIAS: sensor.range_bias_sds, ELEVATION: sensor.elevation_sds, AZIMUTH: sensor.azimuth_sds}[kind]

@@ -33,6 +33,10 @@ from optshape_graph.se3 import cross, exp, vec, vec_derivative
 _WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])
 """Information of the pose before any measurement (3 rad, 100 m): keeps an unobservable pose finite."""
 
+INWARDS, GRAZING = 20.0, 0.2
+"""Logarithm by which it is less likely that a ring ends at an edge that it crosses inwards, if it does so by a fifth of
+a beam from ray to ray or more; where it runs along the edge, by as much less."""
+
 _LARGEST_STEP = 0.15
 """Rotation by which a pose moves at most, rad."""
 
@@ -222,7 +226,7 @@ def posterior_step(
         sweeps: number of updates.
     """
     own, s = geometry.own, geometry.along
-    intervals = residual_intervals(s, ends)
+    intervals = residual_intervals(geometry, ends)
     tau = ends.there / (own + spread * s**2)
     nu = -tau * inset * s
     Jt = np.swapaxes(J, 1, 2)
@@ -311,18 +315,19 @@ def _log_ratio(cavity_mean: Floats, cavity_variance: Floats, tau: Floats, nu: Fl
     return np.asarray(np.log(total / precision) - shift**2 / total + cavity_mean**2 * precision)
 
 
-def residual_intervals(along: Floats, ends: RingEnds) -> tuple[Floats, Floats, Floats]:
+def residual_intervals(geometry: EdgeGeometry, ends: RingEnds) -> tuple[Floats, Floats, Floats]:
     """Where the residual of a boundary point lies (2, C, M): within its interval, or, for a lost return, about it.
 
     Densities are per step. A point that leaves its edge inwards cannot have ended there: its first interval is
-    empty of weight.
+    empty of weight. Unless the ring runs along the edge, within the beam: any of its rays may be the last that returns.
     """
     first, last = ends.lost_limits
-    limits = -along * np.stack([[ends.lower, ends.lower + ends.width], [first, last]])
+    limits = -geometry.along * np.stack([[ends.lower, ends.lower + ends.width], [first, last]])
     lower, upper = limits.min(axis=1) - 1e-7, limits.max(axis=1) + 1e-7
     lost, span = ends.lost_ends[:, None], np.diff(ends.lost_span, axis=1)
-    log_density = np.zeros((2, *along.shape))
-    log_density[0] = np.log(1 - lost) - np.log(ends.width / ends.step) - np.where(along > 0, 0.0, 20.0)
+    inwards = np.clip(-geometry.along * ends.step / (GRAZING * geometry.across), 0.0, 1.0)
+    log_density = np.zeros((2, *inwards.shape))
+    log_density[0] = np.log(1 - lost) - np.log(ends.width / ends.step) - INWARDS * inwards
     log_density[1] = np.log(lost / span)
     return lower, upper, log_density
 
@@ -389,7 +394,7 @@ def alternative_labels(ends: RingEnds, posterior: Posterior, limit: int) -> list
     """
     beyond, _ = other_edges(ends, posterior)
     nearest = beyond.argmax(axis=-1)
-    reach = 0.5 * np.abs(posterior.geometry.along) * ends.width
+    reach = 0.5 * (np.abs(posterior.geometry.along) * ends.width + posterior.geometry.across)
     closeness = np.where(ends.there, -beyond.max(axis=-1) / (posterior.sigma + reach), np.inf)
     found = []
     for k, order in enumerate(np.argsort(closeness, axis=-1)[:, :limit]):

@@ -18,7 +18,7 @@ from optshape_graph.beam import Beam, outermost_return
 from optshape_graph.edges import UP, EdgePoints, leftward, upward
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.se3 import apply
-from optshape_graph.sensor import SensorModel, angle_sds
+from optshape_graph.sensor import SensorModel, total_angle_sds
 from optshape_graph.target import Target
 
 
@@ -102,15 +102,13 @@ class RingEnds(Value):
         step: (B, M) azimuth step, or the interval where that is wider, rad.
         scatter: (B, M) standard deviation of the interval's place, rad.
         ring_shift: (B, M) standard deviation of what moves both ends of a ring, rad.
-        elevation_sd: (B, M) of each ring's elevation, rad.
-        azimuth_sd: (B, M) of each ring's azimuth, rad.
+        elevation_sd: (B, M) of each ring's elevation, what all rings share included, rad.
+        azimuth_sd: (B, M) likewise of each ring's azimuth, rad.
         by_shift: (B, M, K) outward motion, rad, for a standard deviation of the blooming, and of noisy rings' shifts.
         plane: (B, 13, 13) quadratic form in [z; 1] of the returns' whitened distances from the plane.
         normals: (B, n, 2) of the target's edges.
         offsets: (B, n) of its edges, metres.
         vertices: (B, n, 3) of the target, metres.
-        common_elevation_sd: (B,) of what all rings have in common, rad.
-        common_azimuth_sd: (B,) likewise, rad.
         flatness: (B,) standard deviation of the target about its drawing, metres.
         beam_offset: (B,) how far in returns at edges lie, beam widths.
         offset_sd: (B,) standard deviation of that, beam widths.
@@ -145,8 +143,6 @@ class RingEnds(Value):
     normals: Floats
     offsets: Floats
     vertices: Floats
-    common_elevation_sd: Floats
-    common_azimuth_sd: Floats
     flatness: Floats
     beam_offset: Floats
     offset_sd: Floats
@@ -175,7 +171,7 @@ class RingEnds(Value):
         by_elevation, by_azimuth = upward(points), leftward(points)
         outer = np.abs(side) == UP
         sweep = np.where(outer[..., None], by_elevation, by_azimuth) * np.sign(side)[..., None]
-        angles = [angle_sds(sensor, one.ring) for sensor, one in zip(sensors, edges, strict=True)]
+        angles = [total_angle_sds(sensor, one.ring) for sensor, one in zip(sensors, edges, strict=True)]
         by_shift = np.zeros((*ends.there.shape, 1 + max(one.shape[1] for one in shifts)))
         by_shift[..., 0] = ~outer * np.array([[beam.blooming] for beam in beams])
         for moved, one in zip(by_shift, shifts, strict=True):
@@ -206,8 +202,6 @@ class RingEnds(Value):
             normals=np.stack([target.normals for target in targets]),
             offsets=np.stack([target.offsets for target in targets]),
             vertices=np.stack([target.vertices for target in targets]),
-            common_elevation_sd=np.array([sensor.common_elevation_sd if sensor else 0.0 for sensor in sensors]),
-            common_azimuth_sd=np.array([sensor.common_azimuth_sd if sensor else 0.0 for sensor in sensors]),
             flatness=np.array([one.flatness for one in options]),
             beam_offset=np.array([beam.offset for beam in beams]),
             offset_sd=np.array([beam.common for beam in beams]),
@@ -287,8 +281,7 @@ class RingEnds(Value):
         shift = (shift - self.beam_offset[:, None]) * across
         by_angle = direction @ R
         lifted, turned = np.vecdot(by_angle, self.upward), np.vecdot(by_angle, self.leftward)
-        of_ring = (self.elevation_sd**2 + self.common_elevation_sd[:, None] ** 2) * lifted**2
-        of_ring += (self.azimuth_sd**2 + self.common_azimuth_sd[:, None] ** 2) * turned**2
+        of_ring = self.elevation_sd**2 * lifted**2 + self.azimuth_sd**2 * turned**2
         own = self.flatness[:, None] ** 2 + (Beam.OWN * scatter * across) ** 2 + (self.scatter * along) ** 2
         return EdgeGeometry(
             labels=labels,

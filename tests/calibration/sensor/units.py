@@ -10,6 +10,7 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.sensor import Sighting
 from optshape_graph.calibration.sensor.graph import Joint
+from optshape_graph.calibration.sensor.unknowns import EDGE_SYSTEMATIC
 from optshape_graph.factors import AZIMUTH, EDGE_OFFSET, ELEVATION, RANGE_BIAS
 from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import estimate_pose
@@ -60,6 +61,19 @@ class Unit:
     def edge_offset(self) -> float:
         """How far inside edges its rings end, in beam widths."""
         return -self.noise.edge_shift / 2
+
+    @property
+    def known(self) -> SensorModel:
+        """Its file if all its errors were known, but for the systematic of ring ends."""
+        nothing, given = np.zeros(self.sensor.n_rings), self.sensor
+        offsets = nothing if given.azimuth_offsets is None else given.azimuth_offsets
+        return replace(
+            given, range_bias=self.range_bias, range_bias_sd=nothing + 1e-5,
+            elevations=given.elevations + self.angles.elevation, elevation_sd=nothing + 1e-7,
+            azimuth_offsets=offsets + self.angles.azimuth, azimuth_sd=nothing + 1e-7,
+            reported_elevations=given.elevations, reported_azimuth_offsets=offsets,
+            edge_offset=self.edge_offset, edge_offset_sd=EDGE_SYSTEMATIC,
+        )  # fmt: skip
 
     def errors(self, joint: Joint) -> tuple[Floats, Floats]:
         """Return how far a solution is off (k,) and its covariance (k, k), of ring errors and the edge offset, in
