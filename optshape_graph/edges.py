@@ -190,9 +190,7 @@ def edge_points(returns: RingReturns) -> list[EdgePoints | EstimationError]:
         For each scan its edge points; or the error, where a step is neither stated nor seen.
     """
     azimuth, rings, rings_of_scan = returns.azimuth, returns.rings, returns.rings_of_scan
-    gap = azimuth - np.append(azimuth[1:], 0.0)
-    gap[rings.last] = 0.0
-    spacing = returns.scans.median(gap, gap > 1e-6)
+    spacing = returns.scans.median(returns.gap, returns.gap > 1e-6)
     stated = [None if sensor is None else sensor.azimuth_step for sensor in returns.sensors]
     steps = np.where([step is None for step in stated], spacing, [step or 0.0 for step in stated])
     step = np.where(np.isfinite(steps), steps, 1.0)

@@ -26,7 +26,7 @@ class Groups(Value):
 
     @classmethod
     def of(cls, arrays: Sequence[Floats] | Sequence[Ints]) -> Groups:
-        """Return the groups of rows of arrays that are stacked."""
+        """Return the groups of rows of arrays (N_g, ...), numbers, that are stacked."""
         return cls(np.array([len(array) for array in arrays], dtype=np.int64))
 
     def __len__(self) -> int:
@@ -35,7 +35,7 @@ class Groups(Value):
     @cached_property
     def first(self) -> Ints:
         """(G,) first row of each group."""
-        return np.asarray(np.cumsum(self.counts) - self.counts)
+        return np.asarray(self.counts.cumsum() - self.counts)
 
     @cached_property
     def last(self) -> Ints:
@@ -53,19 +53,19 @@ class Groups(Value):
         return [slice(first, last + 1) for first, last in zip(self.first.tolist(), self.last.tolist(), strict=True)]
 
     def each(self, values: Rows) -> Rows:
-        """Return values (G, ...) of groups for each of their rows (N, ...)."""
-        return np.repeat(values, self.counts, axis=0)
+        """Return numbers (G, ...) of groups for each of their rows (N, ...)."""
+        return values.repeat(self.counts, axis=0)
 
     def sum(self, values: Floats | Bools) -> Floats:
-        """Return the sums (G, ...) of values (N, ...) over groups."""
+        """Return the sums (G, ...) of numbers (N, ...) over groups."""
         return np.add.reduceat(values, self.first, axis=0, dtype=float)
 
     def mean(self, values: Floats | Bools) -> Floats:
-        """Return the means (G,) of values (N,) over groups."""
+        """Return the means (G,) of numbers (N,) over groups."""
         return np.asarray(self.sum(values) / self.counts)
 
     def median(self, values: Floats, among: Bools | None = None) -> Floats:
-        """Return the medians (G,) of values (N,) in groups, among some (N,) of them; infinite where there are none."""
+        """Return the medians (G,) of numbers (N,) in groups, among some (N,) of them; infinite where there are none."""
         ordered = values.copy() if among is None else np.where(among, values, np.inf)
         counts = self.counts if among is None else np.asarray(self.sum(among), dtype=np.int64)
         for rows in self.slices:
@@ -74,7 +74,7 @@ class Groups(Value):
         return np.where(counts > 0, 0.5 * (ordered[lower] + ordered[upper]), np.inf)
 
     def products(self, a: Floats, b: Floats) -> Floats:
-        """Return a^T b (G, J, K) of each group, of rows a (N, J) and b (N, K)."""
+        """Return a^T b (G, J, K) of each group, of rows of numbers a (N, J) and b (N, K)."""
         return np.stack([a[rows].T @ b[rows] for rows in self.slices])
 
 

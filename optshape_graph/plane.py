@@ -75,7 +75,7 @@ def fit_planes(points: Floats, weights: Floats, scans: Groups) -> list[ReturnsPl
 
     Args:
         points: (N, 3) metres, LiDAR frame.
-        weights: (N,) 1 / (1 + n) of a ring with n returns; 1 without rings.
+        weights: (N,) numbers: 1 / (1 + n) of a ring with n returns; 1 without rings.
         scans: the returns of each of B targets.
 
     Returns:

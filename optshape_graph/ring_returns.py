@@ -89,6 +89,14 @@ class RingReturns(Value):
         """(N,) rad."""
         return np.arctan2(self.points[:, 2], np.hypot(self.points[:, 0], self.points[:, 1]))
 
+    @cached_property
+    def gap(self) -> Floats:
+        """(N,) azimuth from each return to the next one on its ring, rad; 0 from the last one."""
+        gap = self.azimuth.copy()
+        gap[:-1] -= self.azimuth[1:]
+        gap[self.rings.last] = 0.0
+        return gap
+
     def of_scan(self, scan: int) -> RingReturns:
         """Return those of one of the scans."""
         if len(self.layout) == 1:

@@ -19,7 +19,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optshape_graph._arrays import Floats, Value, frozen
+from optshape_graph._arrays import Bools, Floats, Value, frozen
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, in_plane, marginalised, outer_rows, root, triangular
 from optshape_graph.se3 import PoseLike, as_matrix, inverse, rotation, transform, vec, vec_derivative
@@ -261,26 +261,27 @@ def refine_all(measurements: Sequence[TemplateMeasurement], starts: Floats, iter
 
     Gauss-Newton steps on the compressed rows, with Levenberg's damping where they do not lead down.
     """
-    T, L, b = starts.copy(), np.stack([one.L for one in measurements]), np.stack([one.b for one in measurements])
-    residual = _residuals(L, b, T)
-    error, damping = (residual**2).sum(axis=1), np.full(len(T), 1e-12)
-    going = np.arange(len(T))
+    T, L, b = starts, np.stack([one.L for one in measurements]), np.stack([one.b for one in measurements])
+    residual, damping = _residuals(L, b, T), np.full(len(starts), 1e-12)
+    error = np.vecdot(residual, residual)
     for _ in range(iterations):
-        J = L[going] @ vec_derivative(T[going])
-        information, pull = np.swapaxes(J, 1, 2) @ J, np.swapaxes(J, 1, 2) @ residual[going, :, None]
-        trace = np.trace(information, axis1=1, axis2=2)
-        step = -np.linalg.solve(information + (damping[going] * trace)[:, None, None] * np.eye(6), pull)[..., 0]
-        candidate = T[going] @ transform(rotation(step[:, :3]), step[:, 3:])
-        left = _residuals(L[going], b[going], candidate)
-        new = (left**2).sum(axis=1)
-        down = new <= error[going]
-        lower = going[down]
-        T[lower], residual[lower], error[lower] = candidate[down], left[down], new[down]
-        damping[going] = np.where(down, np.maximum(damping[going] / 10, 1e-12), np.maximum(10 * damping[going], 1e-8))
-        going = going[(np.abs(step).max(axis=1) >= 1e-9) & (damping[going] <= 1.0)]
-        if not len(going):
+        J = L @ vec_derivative(T)
+        Jt, trace = np.swapaxes(J, 1, 2), np.einsum("bij,bij->b", J, J)
+        step = -np.linalg.solve(Jt @ J + (damping * trace)[:, None, None] * np.eye(6), Jt @ residual[..., None])[..., 0]
+        candidate = T @ transform(rotation(step[:, :3]), step[:, 3:])
+        left = _residuals(L, b, candidate)
+        new = np.vecdot(left, left)
+        down = new <= error
+        T, residual, error = _where(down, candidate, T), _where(down, left, residual), np.where(down, new, error)
+        damping = np.where(down, np.maximum(damping / 10, 1e-12), np.maximum(10 * damping, 1e-8))
+        if ((np.abs(step).max(axis=1) < 1e-9) | (damping > 1.0)).all():
             break
     return T
+
+
+def _where(mask: Bools, a: Floats, b: Floats) -> Floats:
+    """Return items (B, ...) of a where a mask (B,) says so, else of b."""
+    return np.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b)
 
 
 def _residuals(L: Floats, b: Floats, T: Floats) -> Floats:

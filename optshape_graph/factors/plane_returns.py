@@ -236,12 +236,13 @@ def plane_measurement(returns: PlaneReturns) -> BiasedMeasurement:
     # Reduced group by group, and at last what is left of all.
     R = factored(rows)
     columns = np.column_stack([which, np.broadcast_to(k + np.arange(5), (len(which), 5))])
-    final, left = R[:, :own], R[:, own:]
-    whole, rest = np.zeros((k + 5, k + 5)), np.zeros((*left.shape[:2], k + 5))
+    common = np.ones(k + 5, dtype=bool)
+    common[which[:, :own]] = False
+    whole, final, left = np.zeros((k + 5, k + 5)), R[:, :own], R[:, own:, own:]
     whole[columns[:, : final.shape[1], None], columns[:, None]] = final
-    np.put_along_axis(rest, np.broadcast_to(columns[:, None], left.shape), left, axis=2)
-    common = np.setdiff1d(np.arange(k + 5), which[:, :own])
-    whole[np.ix_(common, common)] = triangular(rest[..., common].reshape(-1, len(common)))
+    rest = np.zeros((*left.shape[:2], np.count_nonzero(common)))
+    np.put_along_axis(rest, np.broadcast_to((np.cumsum(common) - 1)[columns[:, None, own:]], left.shape), left, axis=2)
+    whole[np.ix_(common, common)] = triangular(rest.reshape(-1, rest.shape[2]))
     stack, place = np.zeros((k + 13, k + 13)), np.concatenate([np.arange(k), k + np.array([*FIRST_ROW, 12])])
     stack[np.ix_(place, place)] = whole
     return BiasedMeasurement(stack, len(returns.points), np.eye(4), returns.errors)

@@ -98,7 +98,7 @@ def estimate_all_moving(
     Args:
         returns: (K,) on one target each, with times.
         targets: (K,) the templates.
-        motion: of the scan, as of `deskew`.
+        motion: a twist (6,), rad/s and m/s, or a sweep, as of `deskew`.
 
     Returns:
         For each target the estimate at a time, and that time; or the error, where the returns determine no pose.

@@ -33,7 +33,7 @@ from optshape_graph.se3 import adjoint, apply, cross, difference, exp, inverse, 
 from optshape_graph.sensor import SensorModel, total_angle_sds
 from optshape_graph.target import Target
 
-AT_ONCE = 240
+AT_ONCE = 480
 """Ring ends of the scans that are worked on at once: more, and their candidates' arrays don't stay in cache."""
 
 ALTERNATIVES = 6

@@ -141,6 +141,19 @@ def test_vertices_numbered_backwards_are_named(session):
     assert "vertices run clockwise; expected counter-clockwise" in str(error)
 
 
+def test_a_target_whose_file_is_of_another_size_is_named(session):
+    def larger(document):
+        target = yaml.safe_load((session.parent / "A.target.yaml").read_text())
+        target["vertices"] = [[1.1 * x for x in vertex] for vertex in target["vertices"]]
+        (session.parent / "larger.target.yaml").write_text(yaml.safe_dump(target))
+        document["targets"]["A"] = "larger.target.yaml"
+
+    result = run(changed(session, larger, "larger.yaml"), "--use-target-points")
+    assert result.return_value == 3
+    assert "the sides of target 'A' are" in result.output
+    assert "% shorter than its file says" in result.output
+
+
 def test_targets_that_moved_though_they_were_said_to_stay_are_named_once(session):
     def static(document):
         document["targets"] = {name: {"target": file, "static": True} for name, file in document["targets"].items()}

@@ -2,34 +2,22 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
 
-import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 
-from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.checks import check_session
-from optshape_graph.calibration.camera.crops import planar_returns
+from optshape_graph.calibration.camera.scans import ScanKey, ScanResult, read_scans, relative_to
 from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.images.reading import ImageTask, TargetInImage, find_targets
-from optshape_graph.detection import detect_targets
-from optshape_graph.errors import AnotherSensorError, EstimationError, InputError
-from optshape_graph.factors import EDGE_OFFSET, OF_RANGES, OF_RINGS, BiasedMeasurement, SharedError
-from optshape_graph.factors._rows import triangular
-from optshape_graph.io import Session, read_scan
+from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.io import Session
 from optshape_graph.io import View as Entry
 from optshape_graph.io.passed_over import UNUSABLE, PassedOver
-from optshape_graph.pose import PoseEstimate, estimate_pose
-from optshape_graph.runs.files import fingerprint
 from optshape_graph.runs.kept import Kept
-from optshape_graph.scan import Scan
-from optshape_graph.se3 import adjoint, vec_derivative
-from optshape_graph.sensor import SensorModel
-from optshape_graph.target import Target
 
 Progress = Callable[[int, int], None]
 """Called with how many files are done, and how many there are."""
@@ -37,13 +25,7 @@ Progress = Callable[[int, int], None]
 ImageKey = tuple[Path, str, str]
 """File, camera and target."""
 
-ScanKey = tuple[Path, str, str]
-"""File, LiDAR and target."""
-
-ScanResult = TargetInScan | EstimationError | InputError
 ImageResult = TargetInImage | EstimationError | InputError
-
-KEPT_EDGE_OFFSET = SharedError("edge offset that stays")
 
 
 def read_views(
@@ -132,79 +114,6 @@ def read_files(
     return scans, images
 
 
-def target_in_scan(
-    returns: Scan, target: Target, lidar: str, estimate: PoseEstimate | None = None, scan: Scan | None = None
-) -> TargetInScan:
-    """Return what a scan's returns on a target say, for calibration.
-
-    Args:
-        returns: the returns on the target and no others.
-        target: the target.
-        lidar: name of the LiDAR.
-        estimate: of these returns, if there is one already.
-        scan: the whole scan, for overlays.
-
-    Raises:
-        EstimationError: no pose can be estimated, or it is not to be used.
-    """
-    estimate = estimate_pose(returns, target) if estimate is None else estimate
-    if estimate.status == "failed" or estimate.shared is None:
-        raise EstimationError(f"{returns.name}: {estimate.reason}")
-    shared, shared_effect = _shared_errors(estimate)
-    passing = [error for error in estimate.shared.shared if not persists(error)]
-    return TargetInScan(
-        lidar=lidar,
-        scan=returns.name,
-        T_lidar_target=estimate.T_lidar_target,
-        covariance=estimate.covariance,
-        measurement=estimate.measurement,
-        uncorrected=estimate.shared.marginal([float(e.kind not in OF_RANGES) for e in estimate.shared.shared]),
-        shared=shared,
-        shared_effect=shared_effect,
-        persistent=_keeping_edge_offset(estimate.shared).without(passing),
-        bias_factor=estimate.fit.bias_factor,
-        edge_inset=estimate.inset_rad,
-        doubt=estimate.reason if estimate.status == "doubtful" else "",
-        own=returns,
-        all_returns=(scan or returns).points,
-    )
-
-
-def persists(error: SharedError) -> bool:
-    """Return whether an error is the LiDAR's own, in every scan: a ring's, or an offset of edges that stays."""
-    return error == KEPT_EDGE_OFFSET or (error.ring is not None and error.kind in OF_RINGS)
-
-
-def _keeping_edge_offset(shared: BiasedMeasurement) -> BiasedMeasurement:
-    """Add an edge offset that the LiDAR keeps to that of each scan: as large, for no file says which of them it has.
-
-    Scans' own offsets average away. One that stays does not, and by the apparent size of targets it looks like a range.
-    """
-    index = [k for k, error in enumerate(shared.shared) if error.kind == EDGE_OFFSET]
-    if not index:
-        return shared
-    stack = triangular(np.hstack([shared.stack[:, index], shared.stack]))
-    return replace(shared, stack=stack, shared=(KEPT_EDGE_OFFSET, *shared.shared))
-
-
-def _shared_errors(estimate: PoseEstimate) -> tuple[tuple[SharedError, ...], Floats]:
-    """Return the errors of rings that move the pose, and how: (6, K), right perturbation of T_lidar_target.
-
-    The estimate allows for errors delta of its own; beside true ones beta it minimises
-    ||S_pose x + S_bias (delta + beta) ||^2 + ||delta||^2.
-    """
-    assert estimate.shared is not None
-    stack, errors = estimate.shared.stack, estimate.shared.shared
-    k = len(errors)
-    by_pose = stack[:, k:-1] @ vec_derivative(estimate.T_target_lidar)
-    rows = np.block([[by_pose, stack[:, :k]], [np.zeros((k, 6)), np.eye(k)]])
-    rings = [j for j, error in enumerate(errors) if error.kind in OF_RINGS]
-    biases = np.vstack([stack[:, rings], np.zeros((k, len(rings)))])
-    x = np.linalg.lstsq(rows, -biases, rcond=None)[0][:6]
-    # (T Exp(x))^-1 = T^-1 Exp(-Ad(T) x)
-    return tuple(errors[j] for j in rings), np.asarray(-adjoint(estimate.T_target_lidar) @ x)
-
-
 def image_tasks(session: Session) -> dict[ImageKey, ImageTask]:
     """Return the targets to look for in each image of each camera."""
     return {
@@ -270,92 +179,6 @@ def count_skipped(passed_over: PassedOver, source: str, results: Mapping[tuple[P
             passed_over.skip(source, UNUSABLE if isinstance(found[0], InputError) else "no target found")
 
 
-def read_scans(
-    session: Session,
-    tasks: Mapping[tuple[Path, str], list[str]],
-    are_crops: bool,
-    tick: Callable[[], None],
-    unused: Counter[str],
-    kept: Kept,
-) -> dict[ScanKey, ScanResult]:
-    """Find targets in scans, by file, LiDAR and target.
-
-    Raises:
-        InputError: the sensor file of a LiDAR is another model's: half of its scans or more do not fit it.
-    """
-    results: dict[ScanKey, ScanResult] = {}
-    for (path, lidar), names in tasks.items():
-        targets = {name: session.targets[name] for name in names}
-        for name, result in _in_scan(path, session.lidars[lidar], lidar, targets, are_crops, unused, kept).items():
-            results[path, lidar, name] = result
-        tick()
-    for lidar in session.lidars:
-        _check_model(session, lidar, {path: one for (path, of, _), one in results.items() if of == lidar})
-    return results
-
-
-def _check_model(session: Session, lidar: str, results: Mapping[Path, ScanResult]) -> None:
-    unfit = [one for one in results.values() if isinstance(one, AnotherSensorError)]
-    if unfit and 2 * len(unfit) >= len(results):
-        path, of = session.path, session.lidars[lidar]
-        raise InputError(
-            f"{path}: the sensor file of '{lidar}' ({session.sensor_files.get(lidar, of.name)}) is of another model: "
-            f"it is for {of.name}, and {len(unfit)} of {len(results)} scans do not fit its elevations; "
-            f"{relative_to(session, Path(unfit[0].name))}: {unfit[0].found}"
-        )
-
-
-def _in_scan(
-    path: Path,
-    sensor: SensorModel,
-    lidar: str,
-    targets: Mapping[str, Target],
-    is_crop: bool,
-    unused: Counter[str],
-    kept: Kept,
-) -> dict[str, ScanResult]:
-    """Find targets in one scan: in a crop by cleaning it, in a full one by detection."""
-    try:
-        scan = read_scan(path, sensor, unused=unused)
-        of = {"scan": fingerprint([str(path)]), "crop": is_crop, "lidar": lidar, "sensor": sensor, "targets": targets}
-        if not is_crop:
-            return _with_scan(kept(Mapping[str, TargetInScan | str], of, lambda: _detected(scan, lidar, targets)), scan)
-        if len(targets) > 1:
-            raise InputError(
-                f"{path}: a crop of {len(targets)} targets ({', '.join(targets)}); expected one target a view"
-            )
-        ((name, target),) = targets.items()
-        found = kept(TargetInScan, of, lambda: target_in_scan(planar_returns(scan), target, lidar))
-        return _with_scan({name: found}, scan)
-    except (EstimationError, InputError) as error:
-        return dict.fromkeys(targets, error)
-
-
-def _with_scan(found: Mapping[str, TargetInScan | str], scan: Scan) -> dict[str, ScanResult]:
-    """Add to what is kept of a scan its other returns."""
-    return {
-        name: EstimationError(seen) if isinstance(seen, str) else replace(seen, all_returns=scan.points)
-        for name, seen in found.items()
-    }
-
-
-def _detected(scan: Scan, lidar: str, targets: Mapping[str, Target]) -> dict[str, TargetInScan | str]:
-    """Find targets in a full scan, of several of one kind the most certain; or say why there is none."""
-    named = {name: replace(target, name=name) for name, target in targets.items()}
-    detections = detect_targets(scan, list(named.values()))
-    results: dict[str, TargetInScan | str] = {}
-    for name in targets:
-        found = [one for one in detections.found if one.target.name == name and one.estimate.status != "failed"]
-        if found:
-            best = max(found, key=lambda one: one.score)
-            results[name] = target_in_scan(scan.select(best.indices), best.target, lidar, best.estimate)
-        else:
-            closest = max(detections.rejected, key=lambda one: one.area, default=None)
-            why = f"; the largest surface turned down: {closest.reason}" if closest else ""
-            results[name] = f"{scan.name}: target '{name}' not found in the scan{why}"
-    return results
-
-
 def scan_file(entry: Entry, use_target_points: bool) -> Path:
     """Return a view's file: the cloud, or the target's returns cropped by hand.
 
@@ -379,9 +202,3 @@ def moments_of(entries: Sequence[Entry]) -> list[int]:
             if mark[1] is not None:
                 groups.merge(first.setdefault(mark, number), number)
     return [groups[number] for number in range(len(entries))]
-
-
-def relative_to(session: Session, path: Path) -> str:
-    """Return a path as messages show it, from the session's folder."""
-    folder = session.path.parent
-    return str(path.relative_to(folder)) if path.is_relative_to(folder) else str(path)

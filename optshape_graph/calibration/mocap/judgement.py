@@ -7,12 +7,11 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from scipy.stats import chi2
 
-from optshape_graph.calibration.free_shape import measure_shape
+from optshape_graph.calibration.free_shape import wrong_size
 from optshape_graph.calibration.mocap.agreement import placements
 from optshape_graph.calibration.mocap.comparison import MocapScan
 from optshape_graph.calibration.mocap.graph import Innovation, MarkerModel, Solution
 from optshape_graph.calibration.verdict import Finding, of_doubts
-from optshape_graph.errors import EstimationError
 from optshape_graph.se3 import skew
 
 FEWEST = 3
@@ -29,9 +28,6 @@ MOST_SCATTER = 16.0
 
 LOOSEST = (3.0, 0.1)
 """Standard deviations of T_lidar_mocap at the targets, deg and metres, beyond which it is called open."""
-
-SIZE_OFF = 0.025
-"""Share by which the sum of the sides is off where the file is called wrong; ring biases of real sensors make 1 %."""
 
 
 def contradicting(compared: Mapping[int, Innovation], used: Collection[int], model: MarkerModel) -> list[int]:
@@ -124,24 +120,9 @@ def _of_layout(scans: Sequence[MocapScan], solution: Solution, model: MarkerMode
 
 
 def _of_shape(scans: Sequence[MocapScan]) -> list[Finding]:
-    """Measure the target's sides from the returns: is its file right?"""
     returns = [scan.returns for scan in scans if scan.returns is not None]
-    target = scans[0].estimate.target
-    try:
-        shape = measure_shape(returns, target)
-    except EstimationError:  # no rings, or angles with noise: no shape to be told
-        return []
-    ratio = float(shape.joint.sides.sum() / target.edge_lengths.sum())
-    if shape.agrees or abs(ratio - 1) < SIZE_OFF:
-        return []
-    size = f"{100 * abs(ratio - 1):.1f} % {'longer' if ratio > 1 else 'shorter'}"
-    sides = " ".join(f"{1e3 * side:.0f}" for side in shape.joint.sides)
-    expected = " ".join(f"{1e3 * side:.0f}" for side in target.edge_lengths)
-    text = (
-        f"the sides of target '{target.name}' are {size} than its file says ({sides} mm by the LiDAR, {expected} by "
-        f"the file): is the file right?"
-    )
-    return [Finding(text, True)]
+    text = wrong_size(returns, scans[0].estimate.target)
+    return [Finding(text, True)] if text else []
 
 
 def _sigmas(scans: Sequence[MocapScan], solution: Solution, scatter: float) -> tuple[float, float]:

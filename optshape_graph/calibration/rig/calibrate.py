@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,11 +16,10 @@ from optshape_graph.calibration.camera.session import Progress
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.images.reading import TargetInImage
 from optshape_graph.calibration.rig.discrepancy import settled
-from optshape_graph.calibration.rig.graph import Options, RigGraph, RigSolution
+from optshape_graph.calibration.rig.graph import Options, RigGraph
 from optshape_graph.calibration.rig.judgement import (
     check_numbers,
     check_sensors,
-    doubts,
     judge,
     middle_of,
     scatter_of,
@@ -33,6 +33,7 @@ from optshape_graph.calibration.rig.reading import Read, read_sightings
 from optshape_graph.calibration.rig.result import RigCalibration, RigSensor, RingError, SightingResult
 from optshape_graph.calibration.rig.robust import solve_robustly
 from optshape_graph.calibration.rig.sightings import Kind, Sighting
+from optshape_graph.calibration.rig.solution import RigSolution
 from optshape_graph.calibration.rig.stamps import shifted_stamps
 from optshape_graph.calibration.rig.start import Start, connected_by, find_start
 from optshape_graph.calibration.verdict import Finding
@@ -43,8 +44,8 @@ from optshape_graph.io.sessions import About, Session, load_session
 from optshape_graph.runs.kept import Kept
 from optshape_graph.se3 import inverse
 
-MANY = 0.1
-"""Share of the sightings that contradict the others from which stamps may be shifted."""
+MANY = 0.2
+"""Share of a sensor's sightings that contradict the others from which its stamps may be shifted."""
 
 
 def calibrate_rig(
@@ -111,7 +112,7 @@ def calibrate(read: Read, session: Session, options: Options | None = None) -> R
     )
     result = replace(result, next_placement=suggest_placement(result, solved))
     used = [start.sightings[number] for number in solved.chi2]
-    return replace(result, findings=(*rig.findings, *judge(result, doubts(used), freedom)))
+    return replace(result, findings=(*rig.findings, *judge(result, used, freedom)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -140,7 +141,18 @@ class SolvedRig(Value):
 
 
 def solve_rig(read: Read, session: Session, options: Options) -> SolvedRig:
-    """Connect a rig's sensors, and solve its graph; see `calibrate`."""
+    """Connect a rig's sensors, and solve its graph; see `calibrate`.
+
+    Args:
+        read: the sightings.
+        session: what else is said of them.
+        options: what is assumed.
+
+    Raises:
+        EstimationError: there is one placement only, a sensor saw no target, or the views contradict each other; the
+            message begins with the session's file, and names the sensors whose stamps are shifted, if that explains it.
+        UnobservableError: nothing connects some sensor with the others.
+    """
     try:
         return _solve_rig(read, session, options)
     except EstimationError as error:
@@ -184,8 +196,11 @@ def _solve_rig(read: Read, session: Session, options: Options) -> SolvedRig:
         solved, clocks = solve_moving(graph, moving, offsets)
         return SolvedRig(sensors, solved, {}, clocks, (*findings, *_of_lenses(lenses, solved)))
     solved, left = solve_robustly(graph)
-    if len(left) > MANY * len(still) and (shifted := shifted_stamps(still, session.platform_moves)):
-        findings.append(Finding(shifted, True))
+    seen = Counter(s.sensor for s in start.sightings)
+    contradicting = Counter(start.sightings[number].sensor for number in left)
+    if any(contradicting[name] > MANY * seen[name] for name in seen):
+        shifted = shifted_stamps(still, session.platform_moves)
+        findings += [Finding(shifted, True)] if shifted else []
     findings += [*_of_lenses(lenses, solved), *_of_discrepancies(solved)]
     return SolvedRig(sensors, solved, left, Clocks(), tuple(findings))
 

@@ -18,9 +18,11 @@ from scipy.optimize import minimize
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.consistency import CHANCE
 from optshape_graph.calibration.camera.graph import Discrepancy
-from optshape_graph.calibration.rig.graph import RigGraph, RigSolution
+from optshape_graph.calibration.rig.graph import RigGraph
 from optshape_graph.calibration.rig.judgement import scatter_of, widening
 from optshape_graph.calibration.rig.left_out import predictions
+from optshape_graph.calibration.rig.solution import RigSolution
+from optshape_graph.calibration.rig.solve import solve_graph
 from optshape_graph.graph import SharedErrors
 from optshape_graph.se3 import adjoint
 
@@ -45,14 +47,14 @@ def settled(graph: RigGraph, used: Collection[int], values: gtsam.Values | None 
     Raises:
         EstimationError: the minimum is not found.
     """
-    solved = graph.solve(used, values)
+    solved = solve_graph(graph, used, values)
     if widening(*scatter_of(solved)) == 1.0:
         return solved
     for _ in range(SETTLING):
         found = estimate(solved)
         if _alike(found, solved.graph.discrepancy):
             break
-        solved = replace(graph, discrepancy=found).solve(used, solved.solution.values)
+        solved = solve_graph(replace(graph, discrepancy=found), used, solved.solution.values)
     return solved
 
 

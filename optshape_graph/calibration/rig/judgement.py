@@ -9,10 +9,11 @@ from scipy.stats import chi2
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.sightings import TargetInScan
-from optshape_graph.calibration.rig.graph import RigSolution
+from optshape_graph.calibration.free_shape import wrong_size
 from optshape_graph.calibration.rig.reading import Read
 from optshape_graph.calibration.rig.result import RigCalibration, RingError
 from optshape_graph.calibration.rig.sightings import Sighting
+from optshape_graph.calibration.rig.solution import RigSolution
 from optshape_graph.calibration.verdict import Finding, of_doubts
 from optshape_graph.errors import EstimationError
 
@@ -51,16 +52,16 @@ def widening(scatter: float, freedom: int) -> float:
     return scatter if chi2.sf(scatter * freedom, freedom) < SURE else 1.0
 
 
-def judge(calibration: RigCalibration, doubts: Sequence[str], freedom: int) -> tuple[Finding, ...]:
+def judge(calibration: RigCalibration, used: Sequence[Sighting], freedom: int) -> tuple[Finding, ...]:
     """Say what is wrong, or has to be known before trusting the result.
 
     Args:
         calibration: with everything but its findings.
-        doubts: why returns do not fit their target, of every scan used.
+        used: the sightings that take part.
         freedom: degrees of freedom of its scatter.
     """
     findings = [Finding(f"not observable: {text}", True) for text in calibration.unobservable]
-    findings += [*_of_numbers(calibration), *_of_pairs(calibration), *of_doubts(doubts), *_of_rings(calibration)]
+    findings += [*_of_numbers(calibration), *_of_pairs(calibration), *_of_targets(used), *_of_rings(calibration)]
     if contradicting := calibration.contradicting:
         first = contradicting[0]
         text = f"{len(contradicting)} of {len(calibration.sightings)} sightings contradict the others and take no part"
@@ -152,9 +153,19 @@ def check_numbers(sightings: Sequence[Sighting], where: str) -> None:
             )
 
 
-def doubts(sightings: Sequence[Sighting]) -> list[str]:
-    """Return why returns do not fit their target, of every scan; "" where they do."""
-    return [s.seen.doubt for s in sightings if isinstance(s.seen, TargetInScan)]
+def _of_targets(sightings: Sequence[Sighting]) -> list[Finding]:
+    """Say that scans do not fit their targets, where many do not; and which target's file is of another size.
+
+    Args:
+        sightings: those that take part.
+    """
+    scans = [(s.target, s.seen) for s in sightings if isinstance(s.seen, TargetInScan)]
+    findings = of_doubts([seen.doubt for _, seen in scans])
+    if findings:
+        targets = {target.name: target for target, _ in scans}
+        texts = [wrong_size([seen.own for of, seen in scans if of.name == name], one) for name, one in targets.items()]
+        findings += [Finding(text, True) for text in texts if text]
+    return findings
 
 
 def middle_of(sightings: Sequence[Sighting], T_base_sensor: Mapping[str, Floats]) -> Floats:

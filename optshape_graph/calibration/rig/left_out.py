@@ -12,14 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.rig.graph import Linked, RigSolution
 from optshape_graph.calibration.rig.sightings import Sighting
+from optshape_graph.calibration.rig.solution import Linked, RigSolution
 
 MOST_UNKNOWNS = 1200
 """Unknowns up to which placements are left out: matrices are dense."""
 
 WEAK = 1e-9
 """Information, relative to each unknown's own, of a prior that keeps what nothing else holds."""
+
+OPEN = 1e-6
+"""Information, relative to what its sightings tell, on a target's pose that nothing else holds without them."""
 
 DECIDES = 1.0
 """Standard deviation, metres or rad, beyond which the others do not say where the target is."""
@@ -88,6 +91,17 @@ def dense_information(solved: RigSolution) -> Floats | None:
     return information
 
 
+def inverted(information: Floats, sizes: Floats) -> Floats:
+    """Return the inverse (n, n) of an information matrix, unknowns brought to one size first: it is badly conditioned.
+
+    Args:
+        information: (n, n).
+        sizes: (n,) information on each unknown alone, about.
+    """
+    D = 1.0 / np.sqrt(sizes)
+    return np.asarray(D[:, None] * np.linalg.inv(D[:, None] * information * D) * D, float)
+
+
 def _of_placement(
     solved: RigSolution, information: Floats, numbers: Collection[int]
 ) -> dict[int, tuple[Floats, Floats]]:
@@ -97,9 +111,9 @@ def _of_placement(
     # Where all rows are together the gradient vanishes; without these it is -A^T d.
     without = information - A.T @ A
     own = columns[solved.graph.placements[solved.graph.start.sightings[next(iter(numbers))].placement]]
-    without[np.arange(own.start, own.stop), np.arange(own.start, own.stop)] += WEAK * np.diag(information)[own]
+    without[np.arange(own.start, own.stop), np.arange(own.start, own.stop)] += OPEN * np.diag(information)[own]
     try:
-        covariance = np.asarray(np.linalg.inv(without), float)
+        covariance = inverted(without, np.diag(information))
     except np.linalg.LinAlgError:
         return {}
     step = covariance @ (A.T @ d)

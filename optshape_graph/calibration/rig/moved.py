@@ -10,10 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.rig.graph import RigGraph, RigSolution
+from optshape_graph.calibration.rig.graph import RigGraph
 from optshape_graph.calibration.rig.judgement import scatter_of
-from optshape_graph.calibration.rig.left_out import dense_information, rows_of
+from optshape_graph.calibration.rig.left_out import dense_information, inverted, rows_of
 from optshape_graph.calibration.rig.sightings import Sighting
+from optshape_graph.calibration.rig.solution import RigSolution
+from optshape_graph.calibration.rig.solve import solve_graph
 from optshape_graph.calibration.rig.start import Start
 from optshape_graph.calibration.verdict import Finding
 from optshape_graph.se3 import angle, difference, exp, inverse
@@ -95,7 +97,7 @@ def moved_about_platform(graph: RigGraph) -> tuple[RigGraph, list[Finding]]:
     """
     wrong, found = set[int](), list[Moved]()
     for _ in range(MOST):
-        solved = replace(graph, loss=np.inf).solve(set(range(len(graph.start.sightings))) - wrong)
+        solved = solve_graph(replace(graph, loss=np.inf), set(range(len(graph.start.sightings))) - wrong)
         scatter, freedom = scatter_of(solved)
         best = _likeliest(solved)
         if best is None or best.gain < UNLIKELY * max(1.0, scatter - best.gain / freedom):
@@ -132,7 +134,7 @@ def _likeliest(solved: RigSolution) -> Moved | None:
     information = dense_information(solved)
     if information is None:
         return None
-    covariance, columns = np.asarray(np.linalg.inv(information), float), solved.solution.system.columns
+    covariance, columns = inverted(information, np.diag(information)), solved.solution.system.columns
     rows = {n: rows_of(link, columns, len(information)) for n, link in solved.linked.items()}
     options = [_explained(np.eye(6), rows[n], link.d, covariance, "", (n, n)) for n, link in solved.linked.items()]
     sightings, tracks = solved.graph.start.sightings, dict[str, list[int]]()

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.calibration.camera.session import target_in_scan
+from optshape_graph.calibration.camera.scans import target_in_scan
 from optshape_graph.calibration.camera.sightings import TargetInScan
 from optshape_graph.calibration.consensus import rigid_fit
-from optshape_graph.calibration.rig.graph import RigGraph, RigSolution
+from optshape_graph.calibration.rig.graph import RigGraph
 from optshape_graph.calibration.rig.sightings import Sighting
+from optshape_graph.calibration.rig.solution import RigSolution
+from optshape_graph.calibration.rig.solve import solve_graph
 from optshape_graph.calibration.rig.tracks import Track, estimate_density
 from optshape_graph.errors import EstimationError, UnobservableError
 from optshape_graph.mapping.motion import deskew
@@ -186,7 +188,7 @@ def solve_moving(
             own = np.array([twists[k] for k in order])
             tracks.append(Track(tuple(first + k for k in order), times[order], own))
         current = replace(graph, start=state, tracks=tuple(tracks), density=density)
-        solved = current.solve(None, values)
+        solved = solve_graph(current, None, values)
         change, covariance = solved.clocks()
         if not change:
             raise EstimationError("one sensor alone saw a target move: that tells no clock")

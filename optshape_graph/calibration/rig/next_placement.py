@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.calibration.rig.graph import RigSolution
 from optshape_graph.calibration.rig.result import NextPlacement, RigCalibration
 from optshape_graph.calibration.rig.sightings import Sighting
+from optshape_graph.calibration.rig.solution import RigSolution
 from optshape_graph.se3 import adjoint, inverse
 
 DISTANCES = (0.75, 1.0, 1.4)

@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
+from optshape_graph.calibration.camera.scans import ScanKey, ScanResult, relative_to
 from optshape_graph.calibration.camera.session import (
     ImageKey,
     ImageResult,
     Progress,
-    ScanKey,
-    ScanResult,
     moments_of,
     read_files,
-    relative_to,
     scan_file,
 )
 from optshape_graph.calibration.camera.sightings import TargetInScan

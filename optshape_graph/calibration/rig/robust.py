@@ -6,9 +6,10 @@ import numpy as np
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.rig.discrepancy import settled
-from optshape_graph.calibration.rig.graph import RigGraph, RigSolution
+from optshape_graph.calibration.rig.graph import RigGraph
 from optshape_graph.calibration.rig.judgement import scatter_of
 from optshape_graph.calibration.rig.result import DISAGREES
+from optshape_graph.calibration.rig.solution import RigSolution
 from optshape_graph.errors import EstimationError
 from optshape_graph.se3 import difference, inverse
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.edges import UP
+from optshape_graph.factors._rows import triangular_by_parts
 from optshape_graph.factors.measurement import template_rows
 from optshape_graph.factors.static import (
     BLOOMING,
@@ -106,9 +107,8 @@ class EdgeRows(Value):
             *(SharedError(OUTER_EDGE, ring=ring) for ring in edges.ring[outside].tolist()),
             *angles,
         ]
-        measurement = BiasedMeasurement.from_rows(
-            stack[:, -13:-1], stack[:, :-13], stack[:, -1], self.T_target_lidar[mine.start], shared, n_rows=len(edges)
-        )
+        factor_of_rows = triangular_by_parts(stack, len(shared))
+        measurement = BiasedMeasurement(factor_of_rows, len(edges), self.T_target_lidar[mine.start], tuple(shared))
         return measurement, float(weight @ (1 / (factor * self.sigma[part]) ** 2).sum(axis=1))
 
 

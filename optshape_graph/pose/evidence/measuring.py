@@ -135,10 +135,8 @@ def _measure_together(
 
 def _missing_inside(returns: RingReturns, edges: Sequence[EdgePoints]) -> list[float]:
     """Count firings between the returns of rings that returned nothing, in B scans."""
-    gap = returns.azimuth - np.append(returns.azimuth[1:], 0.0)
-    gap[returns.rings.last] = 0.0
     step = returns.scans.each(np.array([one.azimuth_step for one in edges]))
-    missing: list[float] = returns.scans.sum(np.maximum(np.rint(gap / step) - 1, 0)).tolist()
+    missing: list[float] = returns.scans.sum(np.maximum(np.rint(returns.gap / step) - 1, 0)).tolist()
     return missing
 
 

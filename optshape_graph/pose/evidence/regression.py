@@ -46,7 +46,7 @@ class Whitening(Value):
 
     Attributes:
         layout: of the returns.
-        weight: (R, 1) by how much the product of two sums over a ring counts less.
+        weight: (R, 1) number by which the product of two sums over a ring counts less.
     """
 
     layout: Layout
@@ -95,11 +95,11 @@ def one_by_one(products: Floats, squares: Floats) -> tuple[Floats, Floats, Float
     """Take base columns out of residuals and out of further columns, each of these by itself.
 
     Args:
-        products: (B, J + 1, J + 1 + K) of J base columns and the residuals, with these and with K further columns.
-        squares: (B, K) of the further columns.
+        products: (B, J, K) of J - 1 base columns and the residuals, metres, with these J and with the further columns.
+        squares: (B, K - J) of the further columns, numbers.
 
     Returns:
-        The square of the residuals (B,), their products with the columns (B, K), and the squares of these (B, K).
+        The square of the residuals (B,), their products with the further columns, and the squares of these (B, K - J).
     """
     base, residuals, j = products[:, :-1], products[:, -1], products.shape[1] - 1
     x = least_squares(base[:, :, :j], base[:, :, j:], 1e-12)
@@ -108,5 +108,5 @@ def one_by_one(products: Floats, squares: Floats) -> tuple[Floats, Floats, Float
 
 
 def f_tails(ratio: Floats, k: Floats, freedom: Floats) -> Floats:
-    """(B,) what `f_tail` says of each."""
+    """Return what `f_tail` says (B,), a probability, of ratios (B,) and two degrees of freedom (B,), numbers."""
     return np.array([f_tail(*one) for one in zip(ratio.tolist(), k.tolist(), freedom.tolist(), strict=True)])

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.factors import OFFSET_SIGMA_M
-from optshape_graph.calibration.camera.session import target_in_scan
+from optshape_graph.calibration.camera.scans import target_in_scan
 from optshape_graph.calibration.camera.sightings import TargetInScan, View
 from optshape_graph.calibration.images.chessboard import chessboard_points
 from optshape_graph.calibration.images.image_points import ImagePoints, turn_about

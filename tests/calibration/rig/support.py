@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.calibration.camera.session import target_in_scan
+from optshape_graph.calibration.camera.scans import target_in_scan
 from optshape_graph.calibration.images.image_points import ImagePoints
 from optshape_graph.calibration.images.planar_pose import planar_poses
 from optshape_graph.calibration.images.reading import TargetInImage

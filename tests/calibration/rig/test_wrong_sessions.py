@@ -69,6 +69,18 @@ def test_a_shift_is_named_where_it_is_all_that_is_wrong(rig, sightings):
         calibrated(rig, wrong)
 
 
+def test_a_shift_among_targets_that_stay_is_named(rig):
+    """Two of three views agree as they are stamped: there is a result, which is not to be trusted."""
+    rng = np.random.default_rng(18)
+    pair = replace(rig, lidars={"front": rig.lidars["front"]})
+    placed = [poses for poses in placements(5, rng, (0.0, 80.0)) for _ in range(3)]
+    stay = [replace(s, placement=s.target.name) for s in seen(pair, two_targets(), placed, rng)]
+    wrong = [replace(s, moment=s.moment + 1, time=s.time + 1) if s.sensor == "left" else s for s in stay]
+    result = calibrated(pair, wrong)
+    assert not result.trusted
+    assert any("the stamps of 'left' are 1 s ahead of those of 'front'" in text for text in result.warnings)
+
+
 def test_a_lens_that_is_three_percent_off_is_not_to_be_trusted(rig, sightings):
     def with_lens(s):
         camera = s.seen.camera
