@@ -198,6 +198,11 @@ class SensorModel(Value):
         return sd if self.firing_sd is None else np.hypot(sd, self.firing_sd * (self.azimuth_step or 0.0))
 
     @property
+    def calibrated(self) -> bool:
+        """Whether the file says of each ring how far it may be off."""
+        return any(sd is not None for sd in (self.range_bias_sd, self.elevation_sd, self.azimuth_sd))
+
+    @property
     def trend(self) -> Floats:
         """(R,) what a trend of one adds to each ring: its elevation less the mean of the table, rad."""
         return np.asarray(self.elevations - self.elevations.mean())

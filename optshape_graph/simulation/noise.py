@@ -44,6 +44,8 @@ class NoiseModel:
         common_edge_spread: `edge_spread` of the part that is drawn once for a scan; None: the same; 0: no such part.
         random_phase: whether the azimuth grid is shifted by a random part of a step in every revolution, as for
             sensors that do not lock their phase.
+        rings: a calibrated sensor, whose file says how large each ring's errors are, and what all rings share; None:
+            errors are as large as `ring_bias`, `elevation_error` and `azimuth_error` say, each ring's by itself.
 
     Raises:
         InputError: a standard deviation, resolution or probability outside its range.
@@ -64,6 +66,7 @@ class NoiseModel:
     edge_spread: float = 0.0
     common_edge_spread: float | None = None
     random_phase: bool = False
+    rings: SensorModel | None = None
 
     def __post_init__(self) -> None:
         for field in (
@@ -106,6 +109,7 @@ class NoiseModel:
             range_resolution=sensor.range_resolution,
             edge_spread=1.0,
             random_phase=True,
+            rings=sensor if sensor.calibrated else None,
         )
 
     @classmethod
@@ -149,6 +153,9 @@ class NoiseModel:
 
     def draw_range_bias(self, n_rings: int, rng: np.random.Generator) -> Floats:
         """Draw the range bias (n_rings,) of each ring, metres: once for a sensor, or once for a scan."""
+        if self.rings is not None:
+            of = self.rings
+            return _of_rings(of, of.range_bias_sds, of.common_range_sd, of.range_trend_sd, rng)
         return rng.normal(0.0, self.ring_bias, n_rings) if self.ring_bias > 0 else np.zeros(n_rings)
 
     def draw_brightness_bias(self, n_surfaces: int, rng: np.random.Generator) -> Floats:
@@ -163,6 +170,12 @@ class NoiseModel:
             rng: source of randomness; its later numbers do not depend on this call.
         """
         own = rng.spawn(1)[0]
+        if self.rings is not None:
+            of = self.rings
+            return AngleErrors(
+                _of_rings(of, of.elevation_sds, of.common_elevation_sd, of.elevation_trend_sd, own),
+                _of_rings(of, of.azimuth_sds, of.common_azimuth_sd, of.azimuth_trend_sd, own),
+            )
         return AngleErrors(
             self.elevation_error * own.normal(size=n_rings), self.azimuth_error * own.normal(size=n_rings)
         )
@@ -227,6 +240,12 @@ class NoiseModel:
 
 MOST_BLOOMING = 4.0
 """Largest blooming of a target, in standard deviations."""
+
+
+def _of_rings(sensor: SensorModel, own: Floats, common: float, trend: float, rng: np.random.Generator) -> Floats:
+    """Draw errors (R,) of a sensor's rings: each one's own (R,), one that all share, and a trend with the elevation."""
+    shared = common * rng.normal() + trend * rng.normal() * sensor.trend
+    return np.asarray(own * rng.normal(size=len(own)) + shared)
 
 
 def _rms(sds: Floats) -> float:

@@ -170,3 +170,32 @@ def _ends(scan):
         ring: (azimuth[scan.ring == ring].min(), azimuth[scan.ring == ring].max())
         for ring in np.unique(scan.ring)[2:-2]
     }
+
+
+@pytest.mark.parametrize(
+    ("own", "common", "trend", "draw"),
+    [
+        ("range_bias_sd", "common_range_sd", "range_trend_sd", lambda noise, rng: noise.draw_range_bias(16, rng)),
+        (
+            "elevation_sd",
+            "common_elevation_sd",
+            "elevation_trend_sd",
+            lambda noise, rng: noise.draw_angle_errors(16, rng).elevation,
+        ),
+        (
+            "azimuth_sd",
+            "common_azimuth_sd",
+            "azimuth_trend_sd",
+            lambda noise, rng: noise.draw_angle_errors(16, rng).azimuth,
+        ),
+    ],
+)
+def test_errors_of_a_calibrated_sensor_are_as_its_file_says(own, common, trend, draw):
+    """Covariance of 4000 draws, to a tenth of the variances: each ring's own, what all share, and the trend."""
+    sensor = load_sensor("vlp16")
+    sds = np.linspace(1e-3, 2e-3, 16)
+    sensor = replace(sensor, **{own: sds, common: 1e-3, trend: 1e-2})
+    noise, rng = NoiseModel.of(sensor), np.random.default_rng(0)
+    found = np.cov(np.array([draw(noise, rng) for _ in range(4000)]).T)
+    said = np.diag(sds**2) + 1e-3**2 + 1e-2**2 * np.outer(sensor.trend, sensor.trend)
+    np.testing.assert_allclose(found, said, atol=0.1 * said.max())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,6 +13,7 @@ from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.mocap.session import load_mocap_scans
 from optshape_graph.detection import detect_targets
 from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.gaussian import chi_square_tail
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.recordings import Recording
 from optshape_graph.io.sessions import Session
@@ -33,6 +34,10 @@ carries one moves it by more from a revolution to the next."""
 
 FEWEST_STILL = 4
 """Revolutions for which a board of a recording stands still at least: fewer, and it may have been on its way."""
+
+MOVED = 1e-5
+"""Probability of so much motion by chance, from the first revolution to the last, below which a board moved: of sixteen
+hundred sessions of sixty placements, one loses one by chance."""
 
 MOST_REVOLUTIONS = 8
 """Revolutions of a placement that take part, evenly spread: by then ring ends and ring errors limit it."""
@@ -98,6 +103,11 @@ def gather(sightings: Iterable[Sighting], fewest: int = 1) -> tuple[Placement, .
         sightings: of all boards.
         fewest: revolutions of a placement at least.
     """
+    return _placed(_runs(sightings), fewest)
+
+
+def _runs(sightings: Iterable[Sighting]) -> dict[str, list[list[Sighting]]]:
+    """Runs in which each board stood still, by its name."""
     runs: dict[str, list[list[Sighting]]] = {}
     for one in sightings:
         of_target = runs.setdefault(one.estimate.target.name, [])
@@ -105,6 +115,11 @@ def gather(sightings: Iterable[Sighting], fewest: int = 1) -> tuple[Placement, .
             of_target[-1].append(one)
         else:
             of_target.append([one])
+    return runs
+
+
+def _placed(runs: Mapping[str, Sequence[Sequence[Sighting]]], fewest: int) -> tuple[Placement, ...]:
+    """The placements of runs of so many revolutions at least, in the order of time."""
     placements = [
         Placement(tuple(run[k] for k in _spread(len(run))))
         for of_target in runs.values()
@@ -112,6 +127,38 @@ def gather(sightings: Iterable[Sighting], fewest: int = 1) -> tuple[Placement, .
         if len(run) >= fewest
     ]
     return tuple(sorted(placements, key=lambda placement: placement.moment))
+
+
+def at_rest(placements: Sequence[Placement]) -> tuple[tuple[Placement, ...], list[str]]:
+    """Return the placements whose boards did not move, and the others in words."""
+    kept, moved = [], []
+    for one in placements:
+        distance, probability = _motion(one)
+        if probability >= MOVED:
+            kept.append(one)
+            continue
+        first, last = one.sightings[0].name, one.sightings[-1].name
+        moved.append(
+            f"{one.target.name} from {first} to {last}: it moved by {1e3 * distance:.0f} mm while it should stand still"
+        )
+    return tuple(kept), moved
+
+
+def _motion(placement: Placement) -> tuple[float, float]:
+    """How far a board moves from its first revolution to its last, evenly, metres, and the probability by chance."""
+    moments = np.array([one.moment for one in placement.sightings], float)
+    if len(moments) < 3 or np.ptp(moments) == 0:
+        return 0.0, 1.0
+    since = (moments - moments[0]) / np.ptp(moments)
+    information, pull = np.zeros((6, 6)), np.zeros(6)
+    for s, one in zip(since, placement.sightings, strict=True):
+        T = one.estimate.T_lidar_target
+        J = np.hstack([np.eye(3), s * np.eye(3)])  # by where it is at first, and by its motion
+        weight = np.linalg.inv(T[:3, :3] @ one.estimate.covariance[3:, 3:] @ T[:3, :3].T)
+        information += J.T @ weight @ J
+        pull += J.T @ weight @ T[:3, 3]
+    motion, covariance = np.linalg.solve(information, pull)[3:], np.linalg.inv(information)[3:, 3:]
+    return float(np.linalg.norm(motion)), chi_square_tail(float(motion @ np.linalg.solve(covariance, motion)), 3)
 
 
 def _still(first: Sighting, one: Sighting) -> bool:
@@ -194,7 +241,8 @@ def of_session(
                 left_out_views.append(f"{view.cloud.name}: no board found")
             yield from found
 
-    return gather(seen()), left_out_views
+    placements, moved = at_rest(gather(seen()))
+    return placements, left_out_views + moved
 
 
 def of_recording(
@@ -225,8 +273,13 @@ def of_recording(
                   "targets": targets}  # fmt: skip
             yield from kept(tuple[Sighting, ...], of, partial(_detected, k, scan, targets))
 
-    placements = gather(seen(), FEWEST_STILL)
-    return placements, [str(stream.skipped)] if stream.skipped else []
+    runs = _runs(seen())
+    left_out = [str(stream.skipped)] if stream.skipped else []
+    for name, of_target in runs.items():
+        if moving := sum(len(run) for run in of_target if len(run) < FEWEST_STILL):
+            left_out.append(f"{moving} sightings of {name}: it stood still for fewer than {FEWEST_STILL} revolutions")
+    placements, moved = at_rest(_placed(runs, FEWEST_STILL))
+    return placements, left_out + moved
 
 
 def _detected(moment: int, scan: Scan, targets: Sequence[Target]) -> tuple[Sighting, ...]:

@@ -14,6 +14,7 @@ from optshape_graph import EstimationError, InputError, SensorCalibration
 from optshape_graph.calibration.sensor import Distance, Sighting, calibrate_placements, gather
 from optshape_graph.calibration.sensor.graph import solve
 from optshape_graph.calibration.sensor.known import distance_factor, known_beside
+from optshape_graph.calibration.sensor.placements import at_rest
 from optshape_graph.calibration.sensor.seen import Seen
 from optshape_graph.io import load_sensor, load_target, save_sensor
 from optshape_graph.pose import estimate_pose
@@ -167,6 +168,23 @@ def test_boards_that_stand_still_are_one_placement(seen: list[Sighting]) -> None
     placements = gather([*still, *(replace(one, moment=20) for one in seen[3:4])])
     assert [len(one.sightings) for one in placements] == [8, 1]
     assert gather(still[:3], fewest=4) == ()
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.008])
+def test_boards_that_move_are_left_out_and_named(speed: float) -> None:
+    """Eight millimetres from revolution to revolution; each pose is uncertain by five."""
+    rng = np.random.default_rng(8)
+    unit, found = Unit.drawn("vlp32c", rng), []
+    for run in range(3):
+        first = placed(unit.sensor, 3.0, 4.0, rng)
+        for k in range(4):
+            T = first.copy()
+            T[1, 3] += speed * k
+            found.append(_seen_at(unit, "paper", T, 10 * run + k, rng))
+    kept, moved = at_rest(gather(found))
+    assert len(kept) == (3 if speed == 0 else 0)
+    assert len(moved) == 3 - len(kept)
+    assert all("paper from" in text and "while it should stand still" in text for text in moved)
 
 
 @pytest.mark.parametrize(
