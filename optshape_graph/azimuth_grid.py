@@ -53,7 +53,7 @@ def level_rings(returns: RingReturns) -> tuple[RingReturns, Floats]:
     # A known elevation takes no degree of freedom: far away, where rings have few returns, that doubles what is left.
     square = rings_of_scan.sum(rings.sum((returns.elevation - rings.each(level)) ** 2))
     noisy = noise > 0
-    noise[noisy] = np.sqrt(square / (scans.counts - rings_of_scan.sum(~known)))[noisy]
+    noise[noisy] = np.sqrt(square / np.maximum(scans.counts - rings_of_scan.sum(~known), 1))[noisy]
     x, y, _ = returns.points.T
     along, up = np.linalg.norm(returns.points, axis=1), rings.each(level)
     inwards = along * np.cos(up) / np.maximum(np.hypot(x, y), 1e-12)

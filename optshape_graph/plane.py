@@ -57,7 +57,7 @@ def fit_plane(points: Floats, ring: Ints | None) -> ReturnsPlane:
         EstimationError: the returns do not span a plane, or the plane passes through the sensor.
     """
     if len(points) == 0:
-        raise EstimationError("0 returns do not span a plane")
+        raise EstimationError("no returns; a plane takes three at least")
     weights: Floats = np.ones(len(points))
     if ring is not None:
         _, inverse, counts = np.unique(ring, return_inverse=True, return_counts=True)
@@ -92,7 +92,7 @@ def fit_planes(points: Floats, weights: Floats, scans: Groups) -> list[ReturnsPl
     found: list[ReturnsPlane | EstimationError] = []
     for k, n in enumerate(scans.counts.tolist()):
         if n < 3:
-            found.append(EstimationError(f"{n} returns do not span a plane"))
+            found.append(EstimationError(f"{n} different returns; a plane takes three at least"))
         elif spread[k] < 1e-3:
             found.append(EstimationError(f"{n} returns lie on a line (they spread {spread[k] * 1e3:.2g} mm beside it)"))
         elif edge_on[k]:

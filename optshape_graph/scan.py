@@ -21,6 +21,9 @@ FARTHEST_M = 500.0
 MAP_M = 1e5
 """From this distance on, metres, coordinates are a map's: as millimetres they would be 100 m."""
 
+LEVEL = np.radians(0.1)
+"""By less than this, rad, and four standard errors, elevations of two rings may be in the wrong order."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scan(Value):
@@ -193,4 +196,21 @@ def rings_missing(scan: Scan) -> InputError:
         f"{scan.name}: its returns have no rings, and targets are found ring by ring; expected a ring for each, or the "
         "sensor whose table tells (--sensor). Livox and flash LiDARs have none: cut the target's returns out and use "
         "`optshape estimate`"
+    )
+
+
+def rings_from_the_top(scan: Scan) -> str:
+    """Return what shows that a scan's ring numbers fall with elevation; "" where they rise, or there are none."""
+    if scan.ring is None or len(scan) == 0:
+        return ""
+    low, high = int(scan.ring.min()), int(scan.ring.max())
+    elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
+    of_low, of_high = elevation[scan.ring == low], elevation[scan.ring == high]
+    lowest, highest = float(np.mean(of_low)), float(np.mean(of_high))
+    error = float(np.sqrt(np.var(of_low) / len(of_low) + np.var(of_high) / len(of_high)))
+    if highest > lowest - LEVEL - 4.0 * error:
+        return ""
+    return (
+        f"ring {high} looks at {np.degrees(highest):.2f} deg, ring {low} at {np.degrees(lowest):.2f} deg; expected "
+        "rings that are counted from the lowest elevation, as `read_scan` counts them"
     )

@@ -31,6 +31,7 @@ from optshape_graph.factors import (
 )
 from optshape_graph.io import Columns, make_scan
 from optshape_graph.mapping import LandmarkSlam
+from optshape_graph.pose import estimate_poses
 from optshape_graph.simulation import Box, Patch, Scene, pose_from_rpy, simulate, simulate_target
 
 PAPER, SENSOR = load_target("paper"), load_sensor("vlp32c")
@@ -68,6 +69,11 @@ WRONG: dict[str, tuple[Callable[[], object], str]] = {
         "scan: sensor: expected SensorModel or None, found str 'vlp16'",
     ),
     "sighting": (lambda: begun().add_measurements([estimate()]), "sighting: expected Sighting, found PoseEstimate"),
+    "a scan for scans": (lambda: estimate_poses(SCAN, PAPER), "scans: expected a list of Scan, found Scan"),
+    "a number for targets": (
+        lambda: estimate_poses([SCAN], 5),
+        "targets: expected a Target or a list of them, found int",
+    ),
     "odometry": (lambda: begun().add_odometry(1.0, T[:3], np.eye(6)), "T_previous_current: expected a finite pose"),
     "key": (lambda: SummaryFactor(estimate(), "l0", "x0"), "key: expected a number, as gtsam.symbol_shorthand makes"),
     "key of one": (lambda: TemplateFactor(estimate(), -1), "key: expected a number, as gtsam.symbol_shorthand makes"),

@@ -4,8 +4,18 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from optshape_graph import InputError, Scan, SensorModel
-from optshape_graph.scan import not_in_metres, without_duplicates
+from optshape_graph import (
+    EstimationError,
+    InputError,
+    Scan,
+    SensorModel,
+    detect_targets,
+    estimate_pose,
+    load_sensor,
+    load_target,
+)
+from optshape_graph.scan import not_in_metres, rings_from_the_top, without_duplicates
+from optshape_graph.simulation import pose_from_rpy, simulate_target
 
 
 def test_select_keeps_fields_together() -> None:
@@ -77,3 +87,19 @@ def test_duplicates_are_dropped_once() -> None:
     assert once.points.tolist() == [[1, 2, 3], [4, 5, 6], [4, 5, 6], [7, 8, 9]]
     assert without_duplicates(once) == (once, 0)
     assert without_duplicates(Scan(np.zeros((0, 3))))[1] == 0
+
+
+def test_rings_counted_from_the_top_are_named() -> None:
+    """In memory nothing puts them in order; a pose of them was ok and wrong."""
+    scan = simulate_target(load_target("paper"), load_sensor("vlp32c"), pose_from_rpy([6.0, 0.0, 0.0], [0.1, 0.2, 0.3]))
+    assert scan.ring is not None
+    assert rings_from_the_top(scan) == ""
+    turned = Scan(scan.points, scan.ring.max() - scan.ring)
+    assert "expected rings that are counted from the lowest elevation" in rings_from_the_top(turned)
+    with pytest.raises(EstimationError, match="counted from the lowest"):
+        estimate_pose(turned, load_target("paper"))
+    with pytest.raises(InputError, match="counted from the lowest"):
+        detect_targets(turned, load_target("paper"))
+    one = scan.select(scan.ring == np.median(scan.ring))
+    with pytest.raises(EstimationError, match="on one ring"):
+        estimate_pose(one, load_target("paper"))

@@ -14,7 +14,7 @@ from optshape_graph.detection.patches import find_patches
 from optshape_graph.detection.results import Detection, Detections, Rejection
 from optshape_graph.detection.segments import OrderedScan, order_scan
 from optshape_graph.errors import EstimationError, InputError, expect
-from optshape_graph.scan import Scan, not_in_metres, put_right
+from optshape_graph.scan import Scan, not_in_metres, put_right, rings_from_the_top
 from optshape_graph.target import Target
 
 _DEFAULTS = DetectionOptions()
@@ -34,12 +34,12 @@ def detect_targets(scan: Scan, targets: Target | Sequence[Target], options: Dete
         options: the settings.
 
     Raises:
-        InputError: no targets, other objects than targets, two targets of one name, or a scan without rings or in
-            millimetres.
+        InputError: no targets, other objects than targets, two targets of one name, or a scan without rings, with
+            rings that are counted from the top, or in millimetres.
     """
     expect("scan", scan, Scan)
     expect("options", options, DetectionOptions)
-    if objection := not_in_metres(scan.points):
+    if objection := not_in_metres(scan.points) or rings_from_the_top(scan):
         raise InputError(f"{scan.name}: {objection}")
     wanted, scan = _wanted(targets), put_right(scan)
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -17,7 +17,7 @@ from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.paper import find_as_paper
 from optshape_graph.pose.result import Ambiguity, PoseEstimate, Status
 from optshape_graph.pose.rings import find_by_rings
-from optshape_graph.scan import Scan, not_in_metres, put_right
+from optshape_graph.scan import Scan, not_in_metres, put_right, rings_from_the_top
 from optshape_graph.se3 import inverse, inverse_covariance, vec_derivative
 from optshape_graph.target import Target
 
@@ -88,6 +88,11 @@ def estimate_poses(
         InputError: a method or a backend that does not exist, something else than scans, targets and options, or
             another number of targets than of scans.
     """
+    if isinstance(scans, Scan) or not isinstance(scans, Iterable):
+        raise InputError(f"scans: expected a list of Scan, found {type(scans).__name__}; `estimate_pose` takes one")
+    if not isinstance(targets, Iterable | Target):
+        raise InputError(f"targets: expected a Target or a list of them, found {type(targets).__name__}")
+    scans = list(scans)
     templates = [targets] * len(scans) if isinstance(targets, Target) else list(targets)
     if len(templates) != len(scans):
         raise InputError(f"{len(templates)} targets for {len(scans)} scans; expected one for all, or one for each")
@@ -124,8 +129,10 @@ def _measured(
     for k, scan in enumerate(scans):
         if method == "paper" and scan.ring is None:
             found[k] = EstimationError(f"{scan.name}: edge points need rings, and the cloud has none")
-        elif objection := not_in_metres(scan.points):
+        elif objection := not_in_metres(scan.points) or rings_from_the_top(scan):
             found[k] = EstimationError(objection)
+        elif scan.ring is not None and len(scan) > 2 and scan.ring.min() == scan.ring.max():
+            found[k] = EstimationError(f"{len(scan)} returns on one ring; a pose takes two rings at least")
     good = [k for k in range(len(scans)) if k not in found]
     right = [put_right(scans[k]) for k in good]
     measured = measure(right, [targets[k] for k in good], options, as_recorded=method == "paper")
@@ -197,8 +204,15 @@ def _verdict(found: Finding, fit: Fit, unobservable: tuple[str, ...], uncertain:
     if fit.flags:
         return "doubtful", fit.reason
     if found.margin < found.evidence.problem.options.ambiguity_margin:
-        return "ambiguous", f"a different pose is only {found.margin:.2g} less likely (log likelihood)"
+        return "ambiguous", _rivalled(found.margin)
     return ("ambiguous", uncertain) if uncertain else ("ok", "")
+
+
+def _rivalled(margin: float) -> str:
+    """Say that a pose leads by a margin only, or not at all: where samples tell modes apart, all others count."""
+    if margin < 0:
+        return f"all different poses together are likelier by {-margin:.2g} (log likelihood)"
+    return f"a different pose is only {margin:.2g} less likely (log likelihood)"
 
 
 def _too_uncertain(findings: Sequence[Finding], covariance: Floats) -> list[str]:

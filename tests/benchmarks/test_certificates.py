@@ -10,9 +10,10 @@ from optshape_graph.calibration.mocap.comparison import leave_one_out
 from optshape_graph.calibration.mocap.session import load_mocap_scans
 from optshape_graph.errors import EstimationError
 from optshape_graph.io import load_session, load_target
-from optshape_graph.pose import certificate as certificates
 from optshape_graph.pose import estimate_pose
-from optshape_graph.pose.certificate import closed_form_bounds, lower_bound
+from optshape_graph.pose.certificate import certificates
+from optshape_graph.pose.certificate.multipliers import closed_form_bounds
+from optshape_graph.pose.certificate.relaxation import lower_bound
 from tests.pose.clouds import errors, reference_cases, simulated
 from tests.shared import SHARED, needs_shared
 

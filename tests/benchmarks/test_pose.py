@@ -13,7 +13,7 @@ import pytest
 from optshape_graph import Scan
 from optshape_graph.io import load_sensor, load_target, write_scan
 from optshape_graph.pose import estimate_pose, estimate_poses, solve_relaxation
-from optshape_graph.pose.certificate import _dual_matrices, _solve_clarabel, eliminate_translation
+from optshape_graph.pose.certificate.relaxation import _dual_matrices, _solve_clarabel, eliminate_translation
 from optshape_graph.simulation import NoiseModel, pose_from_rpy, simulate_target
 from tests.pose.clouds import simulated
 

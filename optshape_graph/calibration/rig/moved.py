@@ -18,6 +18,7 @@ from optshape_graph.calibration.rig.solution import RigSolution
 from optshape_graph.calibration.rig.solve import solve_graph
 from optshape_graph.calibration.rig.start import Start
 from optshape_graph.calibration.verdict import Finding
+from optshape_graph.errors import EstimationError
 from optshape_graph.se3 import angle, difference, exp, inverse
 
 FARTHEST, WIDEST = 0.02, np.radians(2.0)
@@ -93,11 +94,12 @@ def moved_about_platform(graph: RigGraph) -> tuple[RigGraph, list[Finding]]:
         graph: of a platform that moves.
 
     Returns:
-        The graph, the sightings of a target after it moved being of another placement; and what was found.
+        The graph, the sightings of a target after it moved being of another placement, and wrong ones strangers; and
+        what was found.
     """
-    wrong, found = set[int](), list[Moved]()
+    wrong, found = set[int](), list[Moved]()  # strangers of the start may be of a target that moved
     for _ in range(MOST):
-        solved = solve_graph(replace(graph, loss=np.inf), set(range(len(graph.start.sightings))) - wrong)
+        solved = _solved(graph, wrong)
         scatter, freedom = scatter_of(solved)
         best = _likeliest(solved)
         if best is None or best.gain < UNLIKELY * max(1.0, scatter - best.gain / freedom):
@@ -109,13 +111,26 @@ def moved_about_platform(graph: RigGraph) -> tuple[RigGraph, list[Finding]]:
             graph = replace(graph, start=_placed_anew(graph.start, best))
         else:
             wrong.add(best.about[0])
+    else:
+        solved = _solved(graph, wrong)
     texts: dict[str, list[str]] = {}
     for one in found:
         keys = [graph.placements[placement] for placement in (one.placement, one.anew)]
         x = difference(*(solved.solution.pose(key) for key in keys))
         before, after = (graph.start.sightings[n] for n in one.about)
         texts.setdefault(before.target.name, []).append(_in_words(x, before, after))
+    graph = replace(graph, start=replace(graph.start, strangers=frozenset(wrong)))
     return graph, [_finding(name, said) for name, said in texts.items()]
+
+
+def _solved(graph: RigGraph, wrong: set[int]) -> RigSolution:
+    """The solution without the loss, and without the sightings that are wrong; nor strangers, if there is none else."""
+    everything, quadratic = set(range(len(graph.start.sightings))), replace(graph, loss=np.inf)
+    try:
+        return solve_graph(quadratic, everything - wrong)
+    except EstimationError:
+        wrong |= graph.start.strangers
+        return solve_graph(quadratic, everything - wrong)
 
 
 def _placed_anew(start: Start, moved: Moved) -> Start:

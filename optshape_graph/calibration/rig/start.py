@@ -188,11 +188,13 @@ def _among_targets(sightings: Sequence[Sighting], T_base_sensor: Mapping[str, Fl
         T_world_base[moment] = np.eye(4) if before is None or not seen else _where(seen, before)
         for n in moments[moment]:
             T_world_target.setdefault(sightings[n].placement, T_world_base[moment] @ T_base_target[n][0])
-    chosen = []
-    for s, poses in zip(sightings, T_base_target, strict=True):
-        turns = np.einsum("ij,kij->k", T_world_target[s.placement][:3, :3], (T_world_base[s.moment] @ poses)[:, :3, :3])
-        chosen.append(s.read_as(int(turns.argmax())))
-    return Start(tuple(chosen), (), T_base_sensor, T_world_base, T_world_target, frozenset())
+    chosen, strangers = list[Sighting](), set[int]()
+    for n, (s, poses) in enumerate(zip(sightings, T_base_target, strict=True)):
+        known, seen_at = T_world_target[s.placement], T_world_base[s.moment] @ poses
+        if distances(np.eye(4), known[None, None], seen_at[None], *TOLERANCES[0])[0][0] > CUT**2:
+            strangers.add(n)
+        chosen.append(s.read_as(int(np.einsum("ij,kij->k", known[:3, :3], seen_at[:, :3, :3]).argmax())))
+    return Start(tuple(chosen), (), T_base_sensor, T_world_base, T_world_target, frozenset(strangers))
 
 
 def _where(seen: Sequence[tuple[Floats, Floats]], before: Floats) -> Floats:

@@ -122,6 +122,20 @@ def test_a_target_that_moved_while_the_platform_did_is_named(room):
     assert not any("was said to stay" in text for text in calibrated(rig, before, True).warnings)
 
 
+def test_a_scan_that_is_read_wrong_while_the_platform_moves_is_left_out(room):
+    rig, before, _, _ = room
+    number = next(k for k, s in enumerate(before) if s.sensor == "rear" and s.target.name == "D" and s.moment > 6)
+    scan, turned = before[number].seen, exp([0.5, 0.0, 1.2, 0.2, 0.3, 0.1])
+    wrong = replace(
+        scan, T_lidar_target=scan.T_lidar_target @ turned, persistent=scan.persistent.substituted(turned),
+        uncorrected=scan.uncorrected.substituted(turned),
+    )  # fmt: skip
+    broken = [replace(s, seen=wrong) if k == number else s for k, s in enumerate(before)]
+    result = calibrated(rig, broken, platform_moves=True)
+    assert [one.file for one in result.contradicting] == [before[number].file]
+    assert errors(rig, result)["LL"][0, 2] < 4.0
+
+
 @pytest.mark.parametrize("overlapping", [True, False])
 def test_shifted_stamps_are_named_while_the_platform_moves(room, overlapping):
     """LiDARs that never see a target at once are joined by their motion, and so are their stamps."""

@@ -10,17 +10,12 @@ from hypothesis import strategies as st
 
 from optshape_graph.factors import TemplateMeasurement
 from optshape_graph.io import load_target
-from optshape_graph.pose import certificate as certificates
 from optshape_graph.pose import certify, estimate_pose, solve_relaxation
-from optshape_graph.pose.certificate import (
-    Bound,
-    closed_form_bounds,
-    eliminate_translation,
-    lower_bound,
-    project_rotation,
-)
+from optshape_graph.pose.certificate import certificates
+from optshape_graph.pose.certificate.multipliers import closed_form_bounds
+from optshape_graph.pose.certificate.relaxation import Bound, eliminate_translation, lower_bound, project_rotation
+from tests.pose.certificate.test_relaxation import random_measurement
 from tests.pose.clouds import recorded_cases, reference_cases, simulated
-from tests.pose.test_certificate import random_measurement
 from tests.shared import needs_shared
 
 

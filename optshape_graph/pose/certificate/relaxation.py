@@ -1,4 +1,4 @@
-"""The certificate: a lower bound on the cost of every pose, from the dual of a semidefinite relaxation.
+"""A lower bound on the cost of every pose, from the dual of a semidefinite relaxation.
 
 With t eliminated, the cost of a measurement is a quadratic form in x = [vec R; 1]. The relaxation of Briales and
 Gonzalez-Jimenez (CVPR 2017) replaces x x^T by any positive semidefinite X that satisfies the 21 quadratic
@@ -7,18 +7,8 @@ constraints of a rotation (rows and columns orthonormal, right-handed) and X_10,
     maximise mu  subject to  Z = Q - mu E_10,10 - sum_i lambda_i A_i  positive semidefinite,
 
 bounds the cost of every rotation from below. A multiplier that is not quite feasible still gives a bound: x^T Z x
-is at least 4 min(0, lambda_min(Z)), since |x|^2 = 4 for every rotation. Where a minimum is known, multipliers that are
-tight there are written down but for a few; where they do not do, and where no pose is known, a solver finds all.
-
-Written down, for a minimum R*:
-
-1. R = W R* takes the cost to a form F in w = [vec W; 1], whose minimum is at W = I, and keeps the constraints.
-2. Subtract the cost, and Gamma : (W^T W - I) with Gamma the symmetric part of the gradient at I. What is left, Z, and
-   its gradient vanish at W = I. So they do when any of the constraints are added that have zero gradient at I: a space
-   of 14 dimensions, the same for all costs.
-3. Which of these make Z positive definite beside w, a few damped Newton steps find, towards the analytic centre of
-   Z + y.B + s I >= 0 (Nesterov and Nemirovskii, Interior-point polynomial algorithms, 1994), while s falls to zero.
-4. The smallest eigenvalue of the (10, 10) sum decides.
+is at least 4 min(0, lambda_min(Z)), since |x|^2 = 4 for every rotation. Where no pose is known, a solver finds the
+multipliers; where a minimum is known, see `multipliers`.
 
 The rotation constraints do not know on which side of the target the sensor is, and with few rings a pose seen from
 behind, which is impossible, can cost as little. On the -x side, where t_x <= 0, every rotation has
@@ -49,25 +39,8 @@ Backend = Literal["closed-form", "clarabel", "cvxpy"]
 """What finds the multipliers: a few Newton steps beside what is written down, else Clarabel; Clarabel; Clarabel by
 cvxpy."""
 
-NOT_TIGHT = "not certified: the bound on other poses of these matches is not tight"
-"""Why a pose that is ok has no certificate."""
-
-_SQUARED_NORM = 4.0  # of x = [vec R; 1], for every rotation
-
-_STEPS = 8
-"""Newton steps at most: of 500 simulated scans' costs all but three take up to four."""
-
-_INSIDE = 1e-11
-"""Smallest eigenvalue, relative to the trace of the form, from which on it is positive beyond rounding."""
-
-_FIRST_SHIFT, _SHIFT_LEFT = 1e-4, 0.2
-"""The shift s begins so far above what is needed, relative to the trace of the form, and keeps this share of it at each
-step that ends near the centre."""
-
-_ROUNDING = 1e-12
-"""Second eigenvalue, relative to the trace of the form, that is rounding."""
-
-_I = np.append(np.eye(3).ravel(), 1.0)  # [vec W; 1] at W = I; W_ij is entry 3 j + i
+SQUARED_NORM = 4.0
+"""Of x = [vec R; 1], for every rotation."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -242,7 +215,7 @@ def lower_bound(Q: Floats, backend: Backend = "clarabel", R_in_front: Floats | N
         multipliers = multipliers[1:]
     Z = form / scale - np.tensordot(multipliers, _dual_matrices(), axes=1)
     eigenvalues = np.linalg.eigvalsh(Z)
-    bound = multipliers[-1] + _SQUARED_NORM * min(0.0, eigenvalues[0])
+    bound = multipliers[-1] + SQUARED_NORM * min(0.0, eigenvalues[0])
     return Bound(bound * scale, float(eigenvalues[1]) * scale, X)
 
 
@@ -274,165 +247,3 @@ def solve_relaxation(Q: Floats, backend: Backend = "clarabel") -> Relaxation:
     measurement = TemplateMeasurement.from_stack(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, 13, T)
     T = refine(measurement)
     return Relaxation(T, 2.0 * measurement.error(T), dual.bound)
-
-
-def closed_form_bounds(forms: Floats, rotations: Floats) -> tuple[Floats, Floats]:
-    """Bound quadratic costs over all rotations from below, by multipliers that are tight at known minima.
-
-    Args:
-        forms: (B, 10, 10) costs x^T F x of x = [vec R (column-major); 1].
-        rotations: (B, 3, 3) rotations, a minimum of each cost; elsewhere the bound still holds, but is far below.
-
-    Returns:
-        The bounds (B,), and the second smallest eigenvalue (B,) of the dual's matrix, in the cost's unit, 0 where it is
-        rounding.
-    """
-    count = len(forms)
-    trace = np.trace(forms, axis1=1, axis2=2)
-    scale = np.where(trace > 0, trace, 1.0)
-    to_identity = np.zeros((count, 10, 10))
-    to_identity[:, :9, :9] = _kronecker(np.swapaxes(rotations, 1, 2), np.eye(3)[None])
-    to_identity[:, 9, 9] = 1.0
-    F = np.swapaxes(to_identity, 1, 2) @ (forms / scale[:, None, None]) @ to_identity
-    gradient = F @ _I
-    cost = gradient @ _I
-    by_entry = gradient[:, :9].reshape(count, 3, 3)
-    Gamma = 0.5 * (by_entry + np.swapaxes(by_entry, 1, 2))
-    Z = F.copy()
-    Z[:, :9, :9] -= _kronecker(Gamma, np.eye(3)[None])
-    Z[:, 9, 9] += np.trace(Gamma, axis1=1, axis2=2) - cost
-    Z += np.tensordot(_positive_with(Z), _flat_constraints(), 1)
-    eigenvalues = np.linalg.eigvalsh(Z)
-    second = np.where(eigenvalues[:, 1] > _ROUNDING, eigenvalues[:, 1], 0.0)
-    return (cost + _SQUARED_NORM * np.minimum(0.0, eigenvalues[:, 0])) * scale, second * scale
-
-
-def _positive_with(Z: Floats) -> Floats:
-    """Return multipliers (B, 14) of the flat constraints that make forms (B, 10, 10) positive definite beside w.
-
-    Where there are none, or more steps are needed, they are those that come nearest in so many steps.
-    """
-    B, beside = _flat_constraints(), _beside_identity()
-    B, Z = beside.T @ B @ beside, beside.T @ Z @ beside
-    y, shift, centred = np.zeros((len(Z), len(B))), np.zeros(len(Z)), np.zeros(len(Z), dtype=bool)
-    left = np.arange(len(Z))
-    for step in range(_STEPS):
-        A = Z[left] + np.tensordot(y[left], B, 1)
-        lowest = np.linalg.eigvalsh(A)[:, 0]
-        outside = lowest <= _INSIDE
-        left, A, needed = left[outside], A[outside], np.maximum(-lowest[outside], 0.0)
-        if not len(left):
-            break
-        lowered = needed + np.maximum(_SHIFT_LEFT * (shift[left] - needed), _INSIDE)
-        shift[left] = np.where(centred[left], lowered, shift[left]) if step else 1.5 * needed + _FIRST_SHIFT
-        whiten = np.linalg.inv(np.linalg.cholesky(A + shift[left, None, None] * np.eye(9)))
-        white = (whiten[:, None] @ B @ np.swapaxes(whiten, 1, 2)[:, None]).reshape(len(left), len(B), 81)
-        slope = white @ np.eye(9).ravel()
-        newton = np.linalg.solve(white @ np.swapaxes(white, 1, 2), slope[..., None])[..., 0]
-        decrement = np.sqrt(np.maximum((slope * newton).sum(axis=1), 0.0))
-        y[left] += newton / (1.0 + decrement)[:, None]
-        centred[left] = decrement < 1.0
-    return y
-
-
-@lru_cache(maxsize=1)
-def _flat_constraints() -> Floats:
-    """(14, 10, 10): a basis of the combinations of the constraints whose gradient vanishes at W = I, too."""
-    _, sizes, basis = np.linalg.svd(rotation_constraints().reshape(-1, 100), full_matrices=False)
-    basis = basis[sizes > 1e-9].reshape(-1, 10, 10)
-    _, sizes, combined = np.linalg.svd((basis @ _I).T)
-    return np.asarray(np.tensordot(combined[np.count_nonzero(sizes > 1e-9) :], basis, 1))
-
-
-@lru_cache(maxsize=1)
-def _beside_identity() -> Floats:
-    """(10, 9) orthonormal columns, at right angles to [vec I; 1]."""
-    return np.asarray(np.linalg.svd(_I[None])[2][1:].T)
-
-
-def _kronecker(A: Floats, B: Floats) -> Floats:
-    """Return the Kronecker products (K, 9, 9) of matrices (K, 3, 3)."""
-    return np.asarray((A[:, :, None, :, None] * B[:, None, :, None, :]).reshape(-1, 9, 9))
-
-
-@dataclass(frozen=True)
-class Certificate:
-    """How far a pose can be from the best one, for the association and the weights it was estimated with.
-
-    Attributes:
-        certified: the pose is the global minimum among those with the sensor on the -x side: its gap is small enough,
-            by default (0.1 mm)^2 a residual, and the second eigenvalue says that there is no other.
-        gap_m2: (cost of the pose - lower bound on the cost of every such pose) / number of residual rows, weights
-            normalised to mean 1, square metres.
-        second_eigenvalue: second smallest eigenvalue of the dual's matrix, normalised alike, square metres.
-    """
-
-    certified: bool
-    gap_m2: float
-    second_eigenvalue: float
-
-
-def certify(
-    measurement: TemplateMeasurement,
-    T_target_lidar: Floats,
-    total_weight: float,
-    backend: Backend = "closed-form",
-    largest_gap: float = 1e-4,
-) -> Certificate:
-    """Certify a pose against every other one with the sensor on the -x side; one from behind, against all.
-
-    Args:
-        measurement: the whitened rows.
-        T_target_lidar: (4, 4) the pose in question.
-        total_weight: sum over rows of 1 / sigma^2, 1/m2: the gap is in whitened units before it is divided by it.
-        backend: what finds the multipliers of the dual.
-        largest_gap: metres a residual: root of the gap up to which the pose is certified.
-
-    Raises:
-        InputError: a backend that does not exist.
-        EstimationError: the measurement constrains no rotation at all.
-    """
-    (found,) = certify_all([measurement], T_target_lidar[None], [total_weight], backend, [largest_gap])
-    if isinstance(found, EstimationError):
-        raise found
-    return found
-
-
-def certify_all(
-    measurements: Sequence[TemplateMeasurement],
-    T_target_lidar: Floats,
-    total_weights: Sequence[float],
-    backend: Backend,
-    largest_gaps: Sequence[float],
-) -> list[Certificate | EstimationError]:
-    """Certify the poses (B, 4, 4) of B measurements at once, see `certify`; an error is the result of its own alone."""
-    Q = np.stack([one.quadratic() for one in measurements])
-    bounds, second = np.full(len(Q), -np.inf), np.zeros(len(Q))
-    if backend == "closed-form":
-        bounds, second = closed_form_bounds(eliminate_translation(Q)[0], T_target_lidar[:, :3, :3])
-
-    def judged(k: int, bound: float, second_eigenvalue: float) -> Certificate:
-        gap = max(0.0, 2.0 * measurements[k].error(T_target_lidar[k]) - bound) / total_weights[k]
-        second = second_eigenvalue / total_weights[k]
-        return Certificate(bool(gap <= largest_gaps[k] ** 2 and second > 0), gap, second)
-
-    def certificate(k: int) -> Certificate:
-        found = judged(k, float(bounds[k]), float(second[k]))
-        if found.certified:
-            return found
-        dual = lower_bound(Q[k], backend)
-        found = judged(k, dual.bound, dual.second_eigenvalue)
-        if found.certified or T_target_lidar[k, 0, 3] >= 0:
-            return found
-        # A bound on all poses holds for those in front too, so the better of the two counts.
-        dual = lower_bound(Q[k], backend, T_target_lidar[k, :3, :3])
-        in_front = judged(k, dual.bound, dual.second_eigenvalue)
-        return in_front if in_front.gap_m2 < found.gap_m2 else found
-
-    results: list[Certificate | EstimationError] = []
-    for k in range(len(Q)):
-        try:
-            results.append(certificate(k))
-        except EstimationError as error:
-            results.append(error)
-    return results

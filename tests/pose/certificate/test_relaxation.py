@@ -13,7 +13,7 @@ from optshape_graph.factors import TemplateMeasurement, edge_rows, plane_rows
 from optshape_graph.factors.measurement import refine
 from optshape_graph.io import load_target
 from optshape_graph.pose import certify, estimate_pose, solve_relaxation
-from optshape_graph.pose.certificate import Backend, eliminate_translation, lower_bound, rotation_constraints
+from optshape_graph.pose.certificate.relaxation import Backend, eliminate_translation, lower_bound, rotation_constraints
 from optshape_graph.se3 import rotation, transform
 from tests.pose.clouds import simulated
 
