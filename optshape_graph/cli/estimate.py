@@ -46,7 +46,7 @@ BYTES = 12_000
 @pool_options
 @force_option
 @report_option
-@plot_option("for every scan the fit, edges, residuals and vertices, and the runner-up where ambiguous")
+@plot_option("for every scan the fit, edges, residuals and vertices, and the runner-up where that is not ruled out")
 def command(
     scans: tuple[str, ...],
     target: str,
@@ -120,7 +120,7 @@ def rows(entry: dict[str, Any], status: str) -> list[list[str]]:
             f"{1e3 * sd[3:].max():.1f}",
             f"{np.degrees(sd[:3].max()):.2f}",
             "yes" if entry["certificate"]["certified"] else "no",
-            "" if margin is None else f"{min(margin, 999):.0f}",
+            "" if margin is None else f"{margin:.0f}" if margin < 999.5 else ">999",
             entry["fit"]["summary"],
             str(entry["n_returns"]),
         ]

@@ -30,7 +30,7 @@ from optshape_graph.pose.ends import (
 from optshape_graph.pose.evidence import Evidence, ends_of
 from optshape_graph.pose.sampling import Components, Firings, LogDensity, Rays, SampledPose, Samples, sample
 from optshape_graph.se3 import adjoint, apply, cross, difference, exp, inverse, vec, vec_derivative
-from optshape_graph.sensor import SensorModel, total_angle_sds
+from optshape_graph.sensor import SensorModel, angle_sds, total_angle_sds
 from optshape_graph.target import Target
 
 AT_ONCE = 480
@@ -45,6 +45,10 @@ not again."""
 
 SURE = (6, 15.0)
 """Rings, and lead of the best mode by its associations, at which no poses need be drawn: they never disagreed there."""
+
+KNOWN = np.radians(0.02)
+"""Standard deviation of a ring's own direction, rad, below which every ray counts, not just the ends of rings: what the
+rays between and beside tell would otherwise be hidden by how far off the rings look, and shared by scans of a scene."""
 
 COMPETING = 50.0
 """Difference of log likelihoods by association from which on a mode is not in the running."""
@@ -207,7 +211,8 @@ def compare_modes(candidates: Posterior, evidence: Evidence) -> Modes:
     if not np.isfinite(candidates.log_likelihood[0]):
         raise EstimationError(f"{evidence.scan.name}: no pose explains the returns")
     by_association = _compare(candidates, target)
-    if evidence.problem.edges.n_rings >= SURE[0] and by_association.margin > SURE[1]:
+    sure = evidence.problem.edges.n_rings >= SURE[0] and by_association.margin > SURE[1]
+    if sure and not _every_ray_counts(evidence):
         return by_association
     chosen = candidates.select(np.array(_apart(candidates, target)))
     density = scan_log_likelihood(evidence)
@@ -229,6 +234,15 @@ def compare_modes(candidates: Posterior, evidence: Evidence) -> Modes:
     inside = Samples(samples.T[of_first], samples.scalar[of_first], samples.weight[of_first], samples.log_integral)
     sampled = _moments(inside, first, evidence) if inside.effective > TRUSTED else None
     return Modes(candidates.select(order), best[order], margin, rival, sampled)
+
+
+def _every_ray_counts(evidence: Evidence) -> bool:
+    """Whether the rings' directions are known, by calibration, so well that their ends are too little of a scan."""
+    sensor = evidence.problem.sensor
+    if sensor is None or not sensor.calibrated:
+        return False
+    up, left = angle_sds(sensor, evidence.problem.edges.ring)
+    return bool(np.median(np.hypot(up, left)) < KNOWN)
 
 
 def scan_log_likelihood(evidence: Evidence) -> LogDensity:

@@ -49,7 +49,7 @@ FRONT_TO_SIDE = 2.2
 
 
 def plot_estimate(scan: Scan, estimate: PoseEstimate) -> dict[str, Figure]:
-    """Draw all pictures of an estimate: fit, edges, residuals, vertices, and the runner-up if it is ambiguous.
+    """Draw all pictures of an estimate: fit, edges, residuals, vertices, and the runner-up if that is not ruled out.
 
     Args:
         scan: the returns that the estimate was made of.
@@ -66,7 +66,8 @@ def plot_estimate(scan: Scan, estimate: PoseEstimate) -> dict[str, Figure]:
         figures["edges"] = plot_edge_labels(estimate, scan.name)
     if estimate.status != "failed":
         figures["vertices"] = plot_vertices(estimate, scan.name)
-    if estimate.status == "ambiguous" and estimate.ambiguity.T_lidar_target is not None:
+    rivalled = estimate.ambiguity.margin < PoseOptions.ambiguity_margin
+    if estimate.status == "ambiguous" and rivalled and estimate.ambiguity.T_lidar_target is not None:
         figures["runner_up"] = plot_runner_up(scan, estimate)
     return figures
 

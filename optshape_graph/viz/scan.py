@@ -124,9 +124,14 @@ def _drawn(scan: Scan, targets: Mapping[str, Floats]) -> tuple[Figure, Axes, Axe
         beyond = float(np.mean(np.abs(points[:, :2]).max(axis=1) > reach))
         left_out = f" ({beyond:.0%} of the returns are beyond, to {distance.max():.0f} m)" if beyond else ""
         above.set(xlim=(-reach, reach), ylim=(-reach, reach), title=f"from above{left_out}")
+    seen.set_autoscalex_on(False)
     for name, vertices in targets.items():
         closed = np.vstack([vertices, vertices[:1]])
-        seen.plot(*_angles(closed), color=VERMILLION, lw=1.6)
+        azimuth, elevation = _angles(closed)
+        azimuth = np.unwrap(azimuth, period=360.0)
+        for turn in (-360.0, 0.0, 360.0):  # across the seam behind the sensor it is drawn at both ends
+            if (np.abs(azimuth + turn) <= 180.0).any():
+                seen.plot(azimuth + turn, elevation, color=VERMILLION, lw=1.6)
         above.plot(closed[:, 0], closed[:, 1], color=VERMILLION, lw=2.4, zorder=3)
         x, y = vertices.mean(axis=0)[:2]
         above.annotate(

@@ -85,7 +85,7 @@ def test_a_failed_scan_does_not_take_the_others_along(cloud: Path, tmp_path: Pat
     assert good["status"] == "ok"
     assert bad["status"] == "failed"
     assert bad["T_lidar_target"] is None
-    assert "on a line" in bad["reason"]
+    assert "on one ring" in bad["reason"]
 
 
 @pytest.mark.parametrize(

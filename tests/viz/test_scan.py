@@ -48,6 +48,15 @@ def test_detections_are_outlined_and_rejections_crossed(simulated):
     assert figure.axes[1].get_title() == (said if beyond else "from above")
 
 
+def test_a_target_across_the_seam_is_drawn_at_both_ends():
+    behind = pose_from_rpy([-5.0, 0.1, 0.0], np.radians([10, 5, 190]))
+    figure = viz.plot_simulation(simulate(room([(TARGETS[0], behind)], (16.0, 12.0, 4.0)), SENSOR))
+    drawn = [line.get_xdata() for line in figure.axes[0].lines]
+    assert len(drawn) == 2
+    assert max(np.ptp(azimuth) for azimuth in drawn) < 20.0
+    assert min(figure.axes[0].get_xlim()) > -200.0
+
+
 def test_returns_of_one_target_fill_the_picture():
     scene = Scene((Patch(TARGETS[0], POSES[0]),))
     figure = viz.plot_simulation(simulate(scene, SENSOR))

@@ -46,6 +46,9 @@ board's middle, five metres away."""
 PASSES = 10
 """In which a covariance is taken apart; each leaves a few parts in the number of rings of what the last one left."""
 
+MOSTLY = 2 / 3
+"""Share of a sensor's rings that were seen, above which what they share is stated as a trend of all."""
+
 EDGE_SYSTEMATIC = 0.03
 """Standard deviation of what the ends of rings have in common that no model has, in beam widths."""
 
@@ -135,21 +138,24 @@ class Deviation(Value):
         """The covariance as a file states it: standard deviations of each ring's own error (R,), of one that all rings
         share, and of a trend from ring to ring with the elevation, per rad.
 
-        The shared ones are the mean and the trend of the rings that were seen, each weighed by what would be left of
-        its variance if all other rings were known; less what the rings' own errors explain of them.
+        The shared ones are the mean and the trend of the rings that were seen, each weighed by its variance; less what
+        the rings' own errors explain of them. Rings that no board met are not known to follow a trend: it explains no
+        more than there is of them, and where they are more than a third of all there is none. A ring's own is no less
+        than what would be left of its variance if all other rings were known.
         """
         variance = np.diag(self.covariance)
         jitter = 1e-9 * variance.max() + 1e-30  # errors of rings that are exact have no inverse
         least = 1.0 / np.diag(np.linalg.inv(self.covariance + jitter * np.eye(len(variance))))
-        design = np.column_stack([np.ones(len(variance)), self.trend])
-        fit = np.linalg.pinv(design * np.where(self.seen, 1.0 / np.sqrt(least), 0.0)[:, None])
-        fit = fit * np.where(self.seen, 1.0 / np.sqrt(least), 0.0)
+        design, lever = np.column_stack([np.ones(len(variance)), self.trend]), np.maximum(self.trend**2, 1e-12)
+        root = np.where(self.seen, 1.0 / np.sqrt(variance + jitter), 0.0)
+        fit = np.linalg.pinv(design * root[:, None]) * root
+        most = np.where(self.seen, np.inf, variance / lever).min() if self.seen.mean() > MOSTLY else 0.0
         of_fit, own = np.diag(fit @ self.covariance @ fit.T), least
         for _ in range(PASSES):
-            together = np.maximum(of_fit - fit**2 @ own, 0.0)
-            own = np.maximum(variance - design**2 @ together, least)
-        common, trend = np.sqrt(together).tolist()
-        return np.sqrt(own), common, trend
+            common, trend = np.maximum(of_fit - fit**2 @ own, 0.0)
+            trend = min(trend, most)
+            own = np.maximum(variance - common - lever * trend, least)
+        return np.sqrt(own), float(np.sqrt(common)), float(np.sqrt(trend))
 
 
 def prior_sds(sensor: SensorModel, kind: str) -> tuple[Floats, float, float]:
