@@ -213,13 +213,19 @@ def _camera(document: Mapping[str, Any]) -> Verdict:
 
 def _rig(document: Mapping[str, Any]) -> Verdict:
     pairs, warnings = document["transforms"], [str(warning) for warning in document["warnings"]]
-    sd = np.array([np.sqrt(np.abs(np.diag(np.array(pair["covariance"])))) for pair in pairs])
+    both = [np.array(pair[key]) for pair in pairs for key in ("covariance", "covariance_T_b_a") if key in pair]
+    degrees, metres = (max(_largest(one[k : k + 3, k : k + 3]) for one in both) for k in (0, 3))
     placements = len({one["placement"] for one in document.get("sightings", ()) if one["used"]})
     sentence = (
         f"{_counted(len(pairs), 'pair')} of sensors by {_counted(placements, 'placement')}, known to "
-        f"{1e3 * sd[:, 3:].max():.1f} mm and {np.degrees(sd[:, :3].max()):.3f} deg (largest standard deviation)"
+        f"{1e3 * metres:.1f} mm and {np.degrees(degrees):.3f} deg (largest standard deviation)"
     )
     return Verdict(_level(document["verdict"], warnings, placements), sentence, tuple(warnings))
+
+
+def _largest(covariance: np.ndarray) -> float:
+    """The largest standard deviation along any direction."""
+    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
 
 
 def _map(document: Mapping[str, Any]) -> Verdict:

@@ -91,7 +91,7 @@ def plot_sightings(result: RigCalibration) -> Figure:
                 axes.plot([number - 0.3, number + 0.3], [np.median(values)] * 2, color=colour(number), lw=1.5)
         axes.set_xticks(range(len(result.sensors)), [literal(name) for name in result.names])
         axes.set(ylabel=label, ylim=(0, None))
-    figure.suptitle("Each placement predicted by the others; lines: medians")
+    figure.suptitle("Each placement predicted by the others; lines: medians (the printed table has means)")
     return figure
 
 
@@ -105,14 +105,20 @@ def plot_rings(result: RigCalibration) -> Figure:
     figure = new_figure(max(4.0, 3.6 * len(lidars)), 5.5)
     for axes, sensor in zip(np.atleast_1d(figure.subplots(1, max(len(lidars), 1))), lidars, strict=False):
         plain(axes)
-        for number, kind in enumerate(dict.fromkeys(ring.kind for ring in sensor.rings)):
+        kinds = list(dict.fromkeys(ring.kind for ring in sensor.rings if ring.ring is not None))
+        for number, kind in enumerate(kinds):
+            beside = 0.2 * (number - (len(kinds) - 1) / 2)
             rings = [ring for ring in sensor.rings if ring.kind == kind and ring.ring is not None]
             axes.errorbar(
-                [ring.value for ring in rings], [(ring.ring or 0) + 0.3 * number for ring in rings],
+                [ring.value for ring in rings], [(ring.ring or 0) + beside for ring in rings],
                 xerr=[ring.sigma for ring in rings], fmt=marker(number), ms=3, lw=0.8, color=colour(number), label=kind,
             )  # fmt: skip
         axes.axvline(0.0, color=GREY, lw=0.8)
-        axes.set(title=literal(sensor.name), xlabel="error (of its sensor file's)", ylabel="ring, from the lowest")
+        axes.set(
+            title=literal(sensor.name),
+            xlabel="error, in its sensor file's\nstandard deviations",
+            ylabel="ring, from the lowest",
+        )
     if lidars:
         legend_below(figure, figure.axes[0])
     return figure

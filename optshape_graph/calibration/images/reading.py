@@ -89,7 +89,7 @@ def find_target(task: ImageTask, thorough: bool = True) -> TargetInImage:
         raise InputError(
             f"{task.image}: the best pose of '{task.target.name}' leaves {poses[0].rms_px:.1f} px; expected less than "
             f"{limit:.1f} px: are the intrinsics ('{task.camera.model}') those of camera '{task.camera.name}', "
-            f"and the pattern's numbers right?{_other_lens(points, task.camera, limit)}"
+            f"the pattern's numbers right, and is it this target?{_other_lens(points, task.camera, limit)}"
         )
     return TargetInImage(task.camera, str(task.image), points, poses)
 

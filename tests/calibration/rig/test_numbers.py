@@ -16,11 +16,11 @@ from optshape_graph.calibration.camera.evidence import view_errors
 from optshape_graph.calibration.camera.graph import Rig
 from optshape_graph.calibration.camera.graph import Sighting as Seen
 from optshape_graph.calibration.camera.sightings import TargetInScan
-from optshape_graph.calibration.rig.calibrate import solve_rig
 from optshape_graph.calibration.rig.discrepancy import settled
 from optshape_graph.calibration.rig.graph import Options
 from optshape_graph.calibration.rig.reading import read_sightings
 from optshape_graph.calibration.rig.solve import solve_graph
+from optshape_graph.calibration.rig.solved import solve_rig
 from optshape_graph.evaluation.rigs import Carried, SimulatedRig, placements, two_targets
 from optshape_graph.io import load_session, load_target
 from optshape_graph.se3 import transform
