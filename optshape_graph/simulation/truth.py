@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +57,7 @@ def write_simulation(
         "scan": path.name,
         "sensor": _sensor_name(result),
         "seed": seed,
-        "noise": asdict(noise),
+        "noise": {**asdict(replace(noise, rings=None)), "rings": noise.rings.name if noise.rings else None},
         "rings_left_out": np.asarray(rings_left_out, dtype=int),
         "T_world_lidar": result.T_world_lidar,
     }
