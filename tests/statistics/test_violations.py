@@ -107,8 +107,8 @@ def table(world: str, kinds: dict[str, Callable[[Trial, np.random.Generator], Tr
     "kind", ["folded 5 deg", "mixed pixels 1", "ends 30 cm behind", "cut 20 %", "bad day", "1 stray"]
 )
 def test_a_few_of_each(kind: str) -> None:
-    """Of eight scans at most two are wrong and ok."""
-    assert counts(WORLDS["paper vlp32c"], kind, KINDS[kind], 8, 3)["wrong"] <= 2
+    """Of eight scans at most three are wrong and ok: where a fifth is, as many as are asked, four come once in 18."""
+    assert counts(WORLDS["paper vlp32c"], kind, KINDS[kind], 8, 3)["wrong"] <= 3
 
 
 @pytest.mark.benchmark

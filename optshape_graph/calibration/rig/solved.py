@@ -8,8 +8,10 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2 as chi2_distribution
 
 from optshape_graph._arrays import Floats, Value
+from optshape_graph.calibration.camera.factors import LENS
 from optshape_graph.calibration.camera.lens import LensChange, LensCheck, check_lenses
 from optshape_graph.calibration.camera.noise import noise_factors, scaled
 from optshape_graph.calibration.images.reading import TargetInImage
@@ -24,6 +26,7 @@ from optshape_graph.calibration.rig.reading import Read
 from optshape_graph.calibration.rig.robust import solve_robustly
 from optshape_graph.calibration.rig.sightings import Sighting
 from optshape_graph.calibration.rig.solution import RigSolution
+from optshape_graph.calibration.rig.solve import solve_graph
 from optshape_graph.calibration.rig.stamps import shifted_stamps
 from optshape_graph.calibration.rig.start import connected_by, find_start
 from optshape_graph.calibration.verdict import Finding
@@ -34,6 +37,13 @@ from optshape_graph.se3 import inverse
 MANY = 0.2
 """Share of a sensor's sightings that contradict the others from which its stamps may be shifted, or its lens be
 another."""
+
+OPEN_M, OPEN = (0.005, 0.1), 1.5
+"""Standard deviation, metres, of a camera's place for what its images leave open of its lens, from which it is said,
+and from which it is grave; and how many times that for the lens as given it is at least."""
+
+CHANCE = 1e-3
+"""Probability by chance of so much better a fit with another lens, under which it is another."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,12 +125,14 @@ def _solve_rig(read: Read, session: Session, options: Options) -> SolvedRig:
         findings += moved
     if moving:
         solved, clocks = solve_moving(graph, moving, offsets)
-        return SolvedRig(sensors, solved, {}, clocks, (*findings, *_of_lenses(lenses, solved)))
+        return SolvedRig(
+            sensors, solved, {}, clocks, (*findings, *_of_lenses(lenses, solved), *_of_open_lenses(solved))
+        )
     solved, left = _with_lenses_that_agree(graph)
     if _contradicting(start.sightings, left):
         shifted = shifted_stamps(still, session.platform_moves)
         findings += [Finding(shifted, True)] if shifted else []
-    findings += [*_of_lenses(lenses, solved), *_of_discrepancies(solved)]
+    findings += [*_of_lenses(lenses, solved), *_of_open_lenses(solved), *_of_discrepancies(solved)]
     return SolvedRig(sensors, solved, left, Clocks(), tuple(findings))
 
 
@@ -191,6 +203,47 @@ def _of_lenses(lenses: Sequence[LensCheck], solved: RigSolution) -> list[Finding
         )
         findings.append(Finding(text, change.far))
     return findings
+
+
+def _of_open_lenses(solved: RigSolution) -> list[Finding]:
+    """Say which cameras are known only if their lenses are as given: others fit better, or their images hardly tell.
+
+    Covariances are for lenses as given. A focal length that is off by half a percent moves a camera by two centimetres
+    at four metres, and a few images agree with it.
+    """
+    graph = solved.graph
+    used = {number: graph.start.sightings[number] for number in solved.chi2}
+    lenses = {s.sensor: s.seen.camera for s in used.values() if isinstance(s.seen, TargetInImage)}
+    findings = []
+    for camera in sorted(lenses.keys() - graph.free_lenses):
+        with suppress(EstimationError):
+            freed = replace(graph, free_lenses=graph.free_lenses | {camera})
+            free = solve_graph(freed, used, solved.solution.values)
+            count = sum(s.sensor == camera for s in used.values())
+            findings += _of_open_lens(
+                camera, count, LensChange.of(lenses[camera], free.lens(lenses[camera])), solved, free
+            )
+    return findings
+
+
+def _of_open_lens(camera: str, count: int, change: LensChange, solved: RigSolution, free: RigSolution) -> list[Finding]:
+    """Judge one camera by its solution under the lens as given, and under a free one."""
+    gain = 2.0 * (solved.solution.error - free.solution.error)
+    if change.far and chi2_distribution.sf(gain, len(LENS)) < CHANCE:
+        text = f"views fit far better where the lens of '{camera}' is another than given ({change.text}): calibrate it"
+        return [Finding(text, True)]
+    if camera not in solved.graph.sensors:
+        return []
+    key = [solved.graph.sensors[camera]]
+    covariances = [one.solution.system.covariance(key)[3:, 3:] for one in (solved, free)]
+    given, open_m = (float(np.sqrt(np.linalg.eigvalsh(C)[-1])) for C in covariances)
+    if open_m < max(OPEN_M[0], OPEN * given):
+        return []
+    text = (
+        f"'{camera}' is there only if its lens is as given: its {count} images leave open of it "
+        f"what moves it by {1e3 * open_m:.0f} mm (sd); calibrate the camera, or add tilted views, near and far"
+    )
+    return [Finding(text, open_m > OPEN_M[1])]
 
 
 def _about(base: str, initial: Sequence[About]) -> dict[str, Floats]:

@@ -84,6 +84,7 @@ def test_a_shift_among_targets_that_stay_is_named(rig):
 @pytest.mark.parametrize(("off", "images", "said"), [
     (1.03, 100, "the images of 'left' contradict its lens as given"),
     (1.06, 4, "views agree only where the lens of 'left' is another than given"),
+    (1.01, 4, "views fit far better where the lens of 'left' is another than given"),
 ])  # fmt: skip
 def test_a_lens_that_is_off_is_not_to_be_trusted(rig, sightings, off, images, said):
     """Many images show it by themselves; few do by what other sensors see."""
@@ -100,6 +101,17 @@ def test_a_lens_that_is_off_is_not_to_be_trusted(rig, sightings, off, images, sa
     result = calibrated(alone, [with_lens(s) if s.sensor == "left" else s for s in kept])
     assert not result.trusted
     assert any(said in text and "focal length by" in text for text in result.warnings)
+
+
+def test_a_lens_that_few_images_tell_is_said_to_be_taken_as_given(rig, sightings):
+    """Two images of one target agree with a lens that moves the camera by more than is stated; thirty don't."""
+    alone = replace(rig, lidars={"front": rig.lidars["front"]})
+    few = [
+        s for s in sightings if s.sensor == "front" or (s.sensor == "left" and s.moment < 2 and s.target.name == "A")
+    ]
+    warnings = calibrated(alone, few).warnings
+    assert any("'left' is there only if its lens is as given" in text for text in warnings)
+    assert not any("lens" in text for text in calibrated(alone, sightings).warnings)
 
 
 @pytest.fixture(scope="module")
