@@ -62,6 +62,7 @@ def command(
     from optshape_graph.calibration.sensor import Distance, calibrate_sensor
     from optshape_graph.cli.console import progress_bar
     from optshape_graph.cli.outputs import Outputs
+    from optshape_graph.errors import InputError
     from optshape_graph.io import load_sensor, load_session, load_target, save_sensor
     from optshape_graph.io.documents import write_json
     from optshape_graph.runs.kept import keeping
@@ -77,6 +78,8 @@ def command(
             sources.append(path)
     files = [file for path in inputs for file in (path.rglob("*") if path.is_dir() else [path])]
     outputs = Outputs([*files, *targets, sensor_name], force=force)
+    if output.suffix.lower() not in (".yaml", ".yml"):
+        raise InputError(f"-o {output}: expected a name ending in .yaml, since a sensor file is YAML")
     outputs.file("-o", output, "sensor")
     outputs.file("--json", json_path, "sensor-calibration")
     outputs.file("--report", html)

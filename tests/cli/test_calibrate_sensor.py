@@ -71,6 +71,12 @@ def test_what_cannot_be(session: Path, tmp_path: Path, arguments: tuple[str, ...
         run("calibrate", "sensor", session, "-o", tmp_path / "mine.yaml", *arguments)
 
 
+def test_a_sensor_file_is_yaml(session: Path, tmp_path: Path) -> None:
+    """Refused before the work."""
+    with pytest.raises(InputError, match="expected a name ending in .yaml"):
+        run("calibrate", "sensor", session, "-o", tmp_path / "mine.json")
+
+
 def test_a_recording_needs_sensor_and_targets(tmp_path: Path) -> None:
     (tmp_path / "clouds").mkdir()
     (tmp_path / "clouds" / "timestamps.txt").write_text("")
