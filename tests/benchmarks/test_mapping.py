@@ -39,6 +39,7 @@ from optshape_graph.mapping.recording import (
     observe_all,
 )
 from optshape_graph.pose import estimate_pose
+from optshape_graph.runs.workers import Pool
 from optshape_graph.se3 import inverse
 from optshape_graph.simulation import Box, ConstantTwist, NoiseModel, Patch, Scene, simulate
 from tests.factors.support import TARGET, edge_points, measure, retract
@@ -403,7 +404,9 @@ def test_two_minutes_of_driving(drive_bag, every, capsys):
     recording = Recording(drive_bag)
     stream = recording.scans(sensor=load_sensor("vlp32c"))
     frames = keyframes(stream, OdometryTrack(recording.poses()), policy, progress)
-    build_map(slam, observe_all(frames, [PAPER], False, False, 2, biases=not every), MotionNoise(), progress, note)
+    build_map(
+        slam, observe_all(frames, [PAPER], False, False, Pool(2), biases=not every), MotionNoise(), progress, note
+    )
     slam.settle()
     if not every:
         solve_batch(slam.problem())
