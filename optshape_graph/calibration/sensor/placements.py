@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.mocap.session import load_mocap_scans
 from optshape_graph.detection import detect_targets
-from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.errors import EstimationError
 from optshape_graph.gaussian import chi_square_tail
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.recordings import Recording
@@ -24,9 +24,6 @@ from optshape_graph.scan import Scan
 from optshape_graph.se3 import angle
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
-
-ALIKE = np.radians(1.5)
-"""Up to this much the beams of a unit differ from its model's data sheet, rad."""
 
 STILL = (0.02, np.radians(2.0))
 """Distance, metres, and angle, rad, from the run's first pose within which a board stands still: a step's noise. Who
@@ -170,31 +167,6 @@ def _still(first: Sighting, one: Sighting) -> bool:
 
 def _spread(n: int) -> list[int]:
     return [int(k) for k in np.linspace(0, n - 1, min(n, MOST_REVOLUTIONS)).round()]
-
-
-def one_lidar(session: Session, lidar: str | None, sensor: SensorModel | None) -> tuple[Session, SensorModel]:
-    """Return a session of one of its LiDARs alone, and that LiDAR's sensor.
-
-    Args:
-        session: of any LiDARs.
-        lidar: which one; None: the only one.
-        sensor: that it is; None: as the session has it.
-
-    Raises:
-        InputError: several LiDARs and none named, none of that name, or a sensor of another model.
-    """
-    if lidar is None and len(session.lidars) != 1:
-        raise InputError(f"{session.path}: one LiDAR is calibrated at a time; name one of {', '.join(session.lidars)}")
-    name = next(iter(session.lidars)) if lidar is None else lidar
-    if name not in session.lidars:
-        raise InputError(f"{session.path}: no LiDAR '{name}'; found {', '.join(session.lidars)}")
-    its = session.lidars[name]
-    if sensor is None:
-        sensor = its
-    elif its.n_rings != sensor.n_rings or np.abs(its.elevations - sensor.elevations).max() > ALIKE:
-        raise InputError(f"{session.path}: its sensor '{its.name}' is another model than '{sensor.name}'")
-    views = tuple(view for view in session.views if view.lidar == name)
-    return replace(session, lidars={name: sensor}, views=views), sensor
 
 
 def of_session(
