@@ -74,7 +74,7 @@ def test_what_cannot_be(
     session: Path, tmp_path: Path, arguments: tuple[str, ...], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Refused before the work: no scan is read."""
-    monkeypatch.setattr("optshape_graph.calibration.sensor.placements.load_mocap_scans", None)
+    monkeypatch.setattr("optshape_graph.calibration.sensor.reading.load_mocap_scans", None)
     with pytest.raises(InputError, match=message):
         run("calibrate", "sensor", session, "-o", tmp_path / "mine.yaml", *arguments)
 

@@ -66,8 +66,9 @@ def read_sightings(
         kept: what a run that was stopped found, and this one finds; None: it is not kept.
 
     Raises:
-        InputError: fewer than two sensors; a view that is moving without a stamp; markers of no target; crops that were asked for are
-            missing; intrinsics that fit half of the images or fewer; a moving view's cloud without times.
+        InputError: fewer than two sensors; a view that is moving without a stamp; markers of no target; crops that
+            were asked for are missing; intrinsics that fit half of the images or fewer; a moving view's cloud without
+            times.
         EstimationError: no image, though there are some, shows a target.
     """
     sensors = (*session.lidars, *session.cameras, *sensors_of(session.mocap))

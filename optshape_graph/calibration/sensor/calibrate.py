@@ -16,7 +16,8 @@ from optshape_graph.calibration.sensor.graph import Joint, solve
 from optshape_graph.calibration.sensor.held_out import IN_TURN, posterior_of, that_help
 from optshape_graph.calibration.sensor.known import Distance, known_beside
 from optshape_graph.calibration.sensor.noise import Sampling, drift_of, sampling
-from optshape_graph.calibration.sensor.placements import Placement, of_recording, of_session
+from optshape_graph.calibration.sensor.placements import Placement
+from optshape_graph.calibration.sensor.reading import of_recording, of_session
 from optshape_graph.calibration.sensor.result import PlacementResult, SensorCalibration
 from optshape_graph.calibration.sensor.seen import Seen
 from optshape_graph.calibration.sensor.sources import FEWEST, Opened, Source, too_few

@@ -103,7 +103,7 @@ class Opened(Value):
             _check_distance(distance, boards)
             a, b = distance.a[0], distance.b[0]
             if not any(a in scene and b in scene for scene in self._scenes()):
-                raise InputError(f"distance between '{a}' and '{b}': no view is said to show both at once")
+                raise InputError(f"distance between '{a}' and '{b}': no scan is said to show both at once")
         captured = [one for one in self.sources if isinstance(one, Session) and one.mocap is not None]
         named = {name for session in captured for name in session.targets}
         if len(named) > 1:
@@ -121,14 +121,28 @@ class Opened(Value):
                     raise InputError(f"{view.where}: the view has no 'target_points', which were asked for")
 
     def _scenes(self) -> Iterator[Mapping[str, Target]]:
-        """The boards that may be in one view, by their names: of each view, and of each recording."""
+        """The boards that may stand in one scan, by their names: of each cloud, and of each recording."""
         given = {board.name: board for board in self.targets}
         for one in self.sources:
             if isinstance(one, Recording):
                 yield given
                 continue
-            for view in one.views:
-                yield given or {name: one.targets[name] for name in view.targets}
+            for numbers in scans_of(one).values():
+                views = [one.views[number] for number in numbers]
+                if not any(view.moving for view in views):
+                    yield given or {name: one.targets[name] for view in views for name in view.targets}
+
+
+def scans_of(session: Session) -> dict[Path, list[int]]:
+    """Return the numbers of the views of each cloud of a session.
+
+    Args:
+        session: of one LiDAR.
+    """
+    scans: dict[Path, list[int]] = {}
+    for number, view in enumerate(session.views):
+        scans.setdefault(view.cloud, []).append(number)
+    return scans
 
 
 def too_few(found: str) -> EstimationError:

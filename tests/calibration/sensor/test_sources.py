@@ -55,7 +55,7 @@ def test_distances_that_cannot_be(a: str, b: str, message: str) -> None:
 
 def test_boards_of_which_no_view_shows_both() -> None:
     apart = Opened.of([session(shown=("left",)), session(shown=("right",))], (), None)
-    with pytest.raises(InputError, match="no view is said to show both at once"):
+    with pytest.raises(InputError, match="no scan is said to show both at once"):
         apart.check([Distance.parsed("left", "right", 3.0)], False)
 
 
