@@ -81,7 +81,7 @@ def of_session(
             search = partial(_cropped if crop else _detected, k, scan, wanted)
             found = kept(tuple[Sighting, ...], of, search)
             if not found:
-                left_out.append(f"{scan.name}: no board found")
+                left_out.append(f"{scan.name}: no board found whose pose is sure")
             for one in found:
                 place = STAYS if one.estimate.target.name in stays else places[numbers[0]]
                 yield replace(one, time=views[0].stamp, place=place)
