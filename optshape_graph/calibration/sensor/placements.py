@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
 from optshape_graph.calibration.mocap.session import load_mocap_scans
-from optshape_graph.detection import detect_targets
+from optshape_graph.detection import Detections, Search, detect_in_scans
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.gaussian import chi_square_tail
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.recordings import Recording
 from optshape_graph.io.sessions import Session
-from optshape_graph.pose import PoseEstimate, estimate_pose
+from optshape_graph.pose import PoseEstimate, estimate_poses
 from optshape_graph.runs.files import fingerprint
 from optshape_graph.runs.kept import Kept
+from optshape_graph.runs.tasks import batches
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import angle
 from optshape_graph.sensor import SensorModel
@@ -227,7 +228,7 @@ def of_session(
     left_out_views: list[str] = []
     sensor = next(iter(session.lidars.values()))
 
-    def seen() -> Iterator[Sighting]:
+    def looks() -> Iterator[_Look]:
         for k, view in enumerate(session.views):
             progress(k, len(session.views))
             wanted = targets or [session.targets[target] for target in view.targets]
@@ -235,10 +236,12 @@ def of_session(
             scan = read_scan(crop or view.cloud, sensor)
             of = {"scan": fingerprint([str(crop or view.cloud)]), "crop": crop is not None, "moment": k,
                   "sensor": sensor, "targets": wanted}  # fmt: skip
-            search = partial(_cropped if crop else _detected, k, scan, wanted)
-            found = kept(tuple[Sighting, ...], of, search)
+            yield _Look(k, scan, tuple(wanted), crop is not None, of)
+
+    def seen() -> Iterator[Sighting]:
+        for look, found in _seen(looks(), kept):
             if not found:
-                left_out_views.append(f"{view.cloud.name}: no board found")
+                left_out_views.append(f"{session.views[look.moment].cloud.name}: no board found")
             yield from found
 
     placements, moved = at_rest(gather(seen()))
@@ -265,15 +268,15 @@ def of_recording(
     """
     stream = recording.scans(topic, sensor)
 
-    def seen() -> Iterator[Sighting]:
+    def looks() -> Iterator[_Look]:
         for k, stamped in enumerate(stream):
             progress(k, stream.expected or k + 1)
             scan = stamped.value
             of = {"scan": fingerprint([str(recording.path), scan.name]), "topic": topic, "moment": k, "sensor": sensor,
                   "targets": targets}  # fmt: skip
-            yield from kept(tuple[Sighting, ...], of, partial(_detected, k, scan, targets))
+            yield _Look(k, scan, tuple(targets), False, of)
 
-    runs = _runs(seen())
+    runs = _runs(one for _, found in _seen(looks(), kept) for one in found)
     left_out = [str(stream.skipped)] if stream.skipped else []
     for name, of_target in runs.items():
         if moving := sum(len(run) for run in of_target if len(run) < FEWEST_STILL):
@@ -282,18 +285,59 @@ def of_recording(
     return placements, left_out + moved
 
 
-def _detected(moment: int, scan: Scan, targets: Sequence[Target]) -> tuple[Sighting, ...]:
+AT_ONCE = 8
+"""Scans in which boards are looked for at once."""
+
+
+class _Look(NamedTuple):
+    """A scan in which boards are looked for: its number, the boards, and what tells it from others.
+
+    A crop shows the first board alone.
+    """
+
+    moment: int
+    scan: Scan
+    targets: tuple[Target, ...]
+    crop: bool
+    of: Mapping[str, Any]
+
+
+def _seen(looks: Iterable[_Look], kept: Kept) -> Iterator[tuple[_Look, tuple[Sighting, ...]]]:
+    """Yield scans and the boards that they show, some at once.
+
+    Raises:
+        InputError: a scan in which no targets can be found.
+    """
+    for some in batches(looks, AT_ONCE):
+        found = kept.together(tuple[Sighting, ...], [look.of for look in some], partial(_boards, some))
+        for look, boards in zip(some, found, strict=True):
+            assert not isinstance(boards, EstimationError)  # a scan without boards has none
+            yield look, boards
+
+
+def _boards(looks: Sequence[_Look]) -> list[tuple[Sighting, ...]]:
+    """Find the boards that scans show, all at once.
+
+    Raises:
+        InputError: a scan in which no targets can be found.
+    """
+    crops, whole = ([one for one in looks if one.crop is crop] for crop in (True, False))
+    estimates = iter(estimate_poses([one.scan for one in crops], [one.targets[0] for one in crops]))
+    detections = iter(detect_in_scans([Search(one.scan, one.targets) for one in whole]))
+    return [_cropped(one, next(estimates)) if one.crop else _detected(one, next(detections)) for one in looks]
+
+
+def _detected(look: _Look, detections: Detections | InputError) -> tuple[Sighting, ...]:
+    if isinstance(detections, InputError):
+        raise detections
     return tuple(
-        Sighting(moment, scan.name, found.estimate, scan.select(found.indices))
-        for found in detect_targets(scan, targets).found
+        Sighting(look.moment, look.scan.name, found.estimate, look.scan.select(found.indices))
+        for found in detections.found
         if found.estimate.status == "ok"
     )
 
 
-def _cropped(moment: int, returns: Scan, targets: Sequence[Target]) -> tuple[Sighting, ...]:
-    for target in targets[:1]:
-        with suppress(EstimationError):
-            estimate = estimate_pose(returns, target)
-            if estimate.status == "ok":
-                return (Sighting(moment, returns.name, estimate, returns),)
-    return ()
+def _cropped(look: _Look, estimate: PoseEstimate | EstimationError) -> tuple[Sighting, ...]:
+    if isinstance(estimate, EstimationError) or estimate.status != "ok":
+        return ()
+    return (Sighting(look.moment, look.scan.name, estimate, look.scan),)
