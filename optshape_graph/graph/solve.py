@@ -20,8 +20,9 @@ CONVERGED = 1e-4
 """Decrease of the cost, in half a chi-square, that is left after the last step: a hundredth of a standard deviation."""
 
 NEAR = 5e-3
-"""Decrease of the cost that a step promises, in half a chi-square, at which the solution is where it can be found, if no
-step makes it: a tenth of a standard deviation. What a robust loss does to errors that sensors share, a step leaves out."""
+"""Decrease of the cost that a step promises, in half a chi-square, with which the solution is there though no step
+lowers the cost: a tenth of a standard deviation. A robust loss of measurements that share errors has a gradient that
+the linearisation leaves out."""
 
 FASTEST = 0.05
 """Ratio of what a step promises to what the one before did, that is not relied on to go on: Gauss-Newton steps often

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from optshape_graph.calibration.camera.scans import relative_to
 from optshape_graph.calibration.camera.session import moments_of
@@ -14,14 +13,15 @@ from optshape_graph.calibration.mocap.session import load_mocap_scans
 from optshape_graph.calibration.sensor.placements import Placement, Sighting, placed, runs_of
 from optshape_graph.calibration.sensor.rest import FEWEST_STILL, at_rest, standing
 from optshape_graph.calibration.sensor.sources import scans_of
-from optshape_graph.detection import detect_targets
-from optshape_graph.errors import EstimationError
+from optshape_graph.detection import Detections, Search, detect_in_scans
+from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.recordings import Recording
 from optshape_graph.io.sessions import Session
-from optshape_graph.pose import estimate_pose
+from optshape_graph.pose import PoseEstimate, estimate_poses
 from optshape_graph.runs.files import fingerprint
 from optshape_graph.runs.kept import Kept
+from optshape_graph.runs.tasks import batches
 from optshape_graph.scan import Scan
 from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
@@ -69,7 +69,7 @@ def of_session(
     sensor = next(iter(session.lidars.values()))
     stays = session.static if not session.platform_moves else frozenset[str]()
 
-    def seen() -> Iterator[Sighting]:
+    def looks() -> Iterator[_Look]:
         for k, (cloud, numbers) in enumerate(scans.items()):
             progress(k, len(scans))
             views = [session.views[n] for n in numbers]
@@ -78,13 +78,15 @@ def of_session(
             scan = replace(read_scan(crop or cloud, sensor), name=relative_to(session, cloud))
             of = {"scan": fingerprint([str(crop or cloud)]), "crop": crop is not None, "moment": k,
                   "sensor": sensor, "targets": wanted}  # fmt: skip
-            search = partial(_cropped if crop else _detected, k, scan, wanted)
-            found = kept(tuple[Sighting, ...], of, search)
+            yield _Look(k, scan, tuple(wanted), crop is not None, of)
+
+    def seen() -> Iterator[Sighting]:
+        for (look, found), numbers in zip(_seen(looks(), kept), scans.values(), strict=True):
             if not found:
-                left_out.append(f"{scan.name}: no board found whose pose is sure")
+                left_out.append(f"{look.scan.name}: no board found whose pose is sure")
             for one in found:
                 place = STAYS if one.estimate.target.name in stays else places[numbers[0]]
-                yield replace(one, time=views[0].stamp, place=place)
+                yield replace(one, time=session.views[numbers[0]].stamp, place=place)
 
     runs, carried = standing(runs_of(seen()))
     placements, moved = at_rest(placed(runs))
@@ -124,15 +126,15 @@ def of_recording(
     """
     stream = recording.scans(topic, sensor)
 
-    def seen() -> Iterator[Sighting]:
+    def looks() -> Iterator[_Look]:
         for k, stamped in enumerate(stream):
             progress(k, stream.expected or k + 1)
             scan = stamped.value
             of = {"scan": fingerprint([str(recording.path), scan.name]), "topic": topic, "moment": k, "sensor": sensor,
                   "targets": targets}  # fmt: skip
-            yield from kept(tuple[Sighting, ...], of, partial(_detected, k, scan, targets))
+            yield _Look(k, scan, tuple(targets), False, of)
 
-    runs = runs_of(seen())
+    runs = runs_of(one for _, found in _seen(looks(), kept) for one in found)
     left_out = [str(stream.skipped)] if stream.skipped else []
     for name, of_board in runs.items():
         if moving := sum(len(run) for run in of_board if len(run) < FEWEST_STILL):
@@ -141,18 +143,59 @@ def of_recording(
     return placements, left_out + moved
 
 
-def _detected(moment: int, scan: Scan, targets: Sequence[Target]) -> tuple[Sighting, ...]:
+AT_ONCE = 8
+"""Scans in which boards are looked for at once."""
+
+
+class _Look(NamedTuple):
+    """A scan in which boards are looked for: its number, the boards, and what tells it from others.
+
+    A crop shows the first board alone.
+    """
+
+    moment: int
+    scan: Scan
+    targets: tuple[Target, ...]
+    crop: bool
+    of: Mapping[str, Any]
+
+
+def _seen(looks: Iterable[_Look], kept: Kept) -> Iterator[tuple[_Look, tuple[Sighting, ...]]]:
+    """Yield scans and the boards that they show, some at once.
+
+    Raises:
+        InputError: a scan in which no targets can be found.
+    """
+    for some in batches(looks, AT_ONCE):
+        found = kept.together(tuple[Sighting, ...], [look.of for look in some], partial(_boards, some))
+        for look, boards in zip(some, found, strict=True):
+            assert not isinstance(boards, EstimationError)  # a scan without boards has none
+            yield look, boards
+
+
+def _boards(looks: Sequence[_Look]) -> list[tuple[Sighting, ...]]:
+    """Find the boards that scans show, all at once.
+
+    Raises:
+        InputError: a scan in which no targets can be found.
+    """
+    crops, whole = ([one for one in looks if one.crop is crop] for crop in (True, False))
+    estimates = iter(estimate_poses([one.scan for one in crops], [one.targets[0] for one in crops]))
+    detections = iter(detect_in_scans([Search(one.scan, one.targets) for one in whole]))
+    return [_cropped(one, next(estimates)) if one.crop else _detected(one, next(detections)) for one in looks]
+
+
+def _detected(look: _Look, detections: Detections | InputError) -> tuple[Sighting, ...]:
+    if isinstance(detections, InputError):
+        raise detections
     return tuple(
-        Sighting(moment, scan.name, found.estimate, scan.select(found.indices))
-        for found in detect_targets(scan, targets).found
+        Sighting(look.moment, look.scan.name, found.estimate, look.scan.select(found.indices))
+        for found in detections.found
         if found.estimate.status == "ok"
     )
 
 
-def _cropped(moment: int, returns: Scan, targets: Sequence[Target]) -> tuple[Sighting, ...]:
-    for target in targets[:1]:
-        with suppress(EstimationError):
-            estimate = estimate_pose(returns, target)
-            if estimate.status == "ok":
-                return (Sighting(moment, returns.name, estimate, returns),)
-    return ()
+def _cropped(look: _Look, estimate: PoseEstimate | EstimationError) -> tuple[Sighting, ...]:
+    if isinstance(estimate, EstimationError) or estimate.status != "ok":
+        return ()
+    return (Sighting(look.moment, look.scan.name, estimate, look.scan),)
