@@ -12,7 +12,7 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.mocap.agreement import find_agreement
 from optshape_graph.calibration.mocap.comparison import MocapScan
-from optshape_graph.calibration.sensor.graph import Joint, solve
+from optshape_graph.calibration.sensor.graph import Joint, Known, solve
 from optshape_graph.calibration.sensor.held_out import IN_TURN, posterior_of, that_help
 from optshape_graph.calibration.sensor.known import Distance, known_beside
 from optshape_graph.calibration.sensor.noise import Sampling, drift_of, sampling
@@ -21,8 +21,14 @@ from optshape_graph.calibration.sensor.reading import of_recording, of_session
 from optshape_graph.calibration.sensor.result import PlacementResult, SensorCalibration
 from optshape_graph.calibration.sensor.seen import Seen
 from optshape_graph.calibration.sensor.sources import FEWEST, Opened, Source, too_few
-from optshape_graph.calibration.sensor.told import directions, silent_rings
-from optshape_graph.calibration.sensor.unknowns import COMMON, EDGE_SYSTEMATIC, Deviation, prior_sds
+from optshape_graph.calibration.sensor.told import directions, mean_range_is_told, silent_rings
+from optshape_graph.calibration.sensor.unknowns import (
+    COMMON,
+    EDGE_SYSTEMATIC,
+    Deviation,
+    prior_sds,
+    with_mean_range_open,
+)
 from optshape_graph.calibration.verdict import Finding
 from optshape_graph.errors import EstimationError
 from optshape_graph.factors import AZIMUTH, EDGE_OFFSET, ELEVATION, RANGE_BIAS
@@ -118,29 +124,21 @@ def calibrate_placements(
     if len(placements) < FEWEST:
         reasons = "".join(f"; {text}" for text in left_out[:3])
         raise too_few(f"found {len(placements)}{reasons}")
-    seen = [
-        Seen.of(put_right(one.returns), placement.target, p, placement.sightings[0].estimate.T_target_lidar)
-        for p, placement in enumerate(placements)
-        for one in placement.sightings
-    ]
-    start = {p: placement.sightings[0].estimate.T_target_lidar for p, placement in enumerate(placements)}
     tied = [(numbers, _frame(placements, numbers)) for numbers in frames]
     known = known_beside(placements, distances, tied)
-    joint, drift = solve(seen, start, known), 0.0
-    for _ in range(DRIFT_ROUNDS):
-        more = drift_of(joint)
-        if abs(more - drift) < SMALL_DRIFT:
-            break
-        drift = more
-        seen = [one.drifting(drift) for one in joint.seen]
-        joint = solve(seen, joint.T_target_lidar, known)
+    prior = with_mean_range_open(sensor) if distances or frames else sensor
+    joint, drift = _solved(placements, prior, known)
+    if prior is not sensor and not mean_range_is_told(joint, prior):
+        prior = sensor
+        joint, drift = _solved(placements, prior, known)
+    seen, start = joint.seen, _starts(placements)
     folds = _folds(placements, seen, start)
     kept, worth = that_help(folds)
     before, after = _ring_residuals(folds, kept, sensor.n_rings)
     held = tuple(kind for kind in IN_TURN if kind not in kept)
     mean, covariance = posterior_of(joint, joint.errors, kept)
     joint = replace(joint, beta=mean, covariance=covariance)
-    deviations = {kind: Deviation.of(sensor, kind, joint.errors, mean, covariance) for kind in COMMON}
+    deviations = {kind: Deviation.of(prior, kind, joint.errors, mean, covariance) for kind in COMMON}
     sampled = sampling(seen, sensor.n_rings)
     calibrated = _calibrated(sensor, deviations, joint, sampled, drift, kept)
     result = SensorCalibration(
@@ -163,6 +161,29 @@ def calibrate_placements(
         findings=(),
     )  # fmt: skip
     return replace(result, findings=tuple(_findings(result, joint, held)))
+
+
+def _starts(placements: Sequence[Placement]) -> dict[int, Floats]:
+    """T_target_lidar (4, 4) of each placement to start from."""
+    return {p: placement.sightings[0].estimate.T_target_lidar for p, placement in enumerate(placements)}
+
+
+def _solved(placements: Sequence[Placement], sensor: SensorModel, known: Known) -> tuple[Joint, float]:
+    """The solution, and what each placement has of its own in each ring's range bias, a standard deviation, metres."""
+    start = _starts(placements)
+    seen = [
+        Seen.of(put_right(replace(one.returns, sensor=sensor)), placement.target, p, start[p])
+        for p, placement in enumerate(placements)
+        for one in placement.sightings
+    ]
+    joint, drift = solve(seen, start, known), 0.0
+    for _ in range(DRIFT_ROUNDS):
+        more = drift_of(joint)
+        if abs(more - drift) < SMALL_DRIFT:
+            break
+        drift = more
+        joint = solve([one.drifting(drift) for one in joint.seen], joint.T_target_lidar, known)
+    return joint, drift
 
 
 def _later(placement: Placement, offset: int) -> Placement:
