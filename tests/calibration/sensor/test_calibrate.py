@@ -22,6 +22,7 @@ from optshape_graph.io import load_sensor, load_target, save_sensor
 from optshape_graph.pose import estimate_pose
 from optshape_graph.scan import put_right
 from optshape_graph.se3 import apply, exp, inverse
+from optshape_graph.simulation import pose_from_rpy
 from tests.calibration.sensor.units import Unit, placed, sightings
 from tests.io.schema_support import complaint
 
@@ -207,6 +208,28 @@ def test_distances_to_what_was_not_seen(seen: list[Sighting]) -> None:
     for a, b, message in (("paper", "round", "was not seen"), ("paper/9", "square", "vertices 0 to 3")):
         with pytest.raises(InputError, match=message):
             known_beside(placements, [Distance.parsed(a, b, 2.0)])
+
+
+def test_a_distance_holds_where_boards_stood_that_far_apart(unit: Unit) -> None:
+    """Of three ways in which they stood, one fits; or none; or two that differ by more than their covariances."""
+    rng = np.random.default_rng(21)
+    seen = []
+    for moment, apart in enumerate((0.0, 0.5, 0.1)):
+        for name, T in (
+            ("paper", pose_from_rpy([3.0 + apart, 0.0, 0.0], [0.4, 0.1, 0.1])),
+            ("square", pose_from_rpy([-3.5, 0.0, 0.0], [0.5, 0.1, np.pi + 0.1])),
+        ):
+            seen.append(_seen_at(unit, name, T, moment, rng))
+    placements = gather(seen)
+    assert len(placements) == 6 - 2  # the square stays
+    known = known_beside(placements, [Distance.parsed("paper", "square", 7.0)])
+    assert known.factors.size() == 1
+    with pytest.raises(InputError, match=r"measured 9 m apart; .* are 6\.\d+ m apart at best"):
+        known_beside(placements, [Distance.parsed("paper", "square", 9.0)])
+    with pytest.raises(InputError, match=r"more than one way in which they stood fits, .* name the scan: 6\.55@0"):
+        known_beside(placements, [Distance.parsed("paper", "square", 6.55)])
+    known = known_beside(placements, [Distance.parsed("paper", "square", "6.55@2")])
+    assert list(known.factors.at(0).keys()) == [H(3), H(1)]
 
 
 def test_too_few_placements(seen: list[Sighting], unit: Unit) -> None:
