@@ -137,6 +137,7 @@ def _print(result: SensorCalibration) -> None:
     )  # fmt: skip
     say(
         f"{len(result.placements)} placements; those left out become likelier by {result.gain:.1f} (logarithm). Range "
-        f"noise {1e3 * result.sampling.range_noise:.1f} mm; rings end {result.sensor.edge_offset:+.2f} +- "
+        f"noise {1e3 * result.sampling.range_noise:.1f} mm within rings, {1e3 * result.sensor.range_noise:.1f} in the "
+        f"file; rings end {result.sensor.edge_offset:+.2f} +- "
         f"{result.sensor.edge_offset_sd:.2f} beam widths inside edges."
     )
