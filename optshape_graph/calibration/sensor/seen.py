@@ -37,7 +37,6 @@ from optshape_graph.factors import (
 from optshape_graph.factors.plane_returns import PlaneReturns, plane_measurement
 from optshape_graph.factors.static import angle_errors
 from optshape_graph.pose.ends import (
-    DAMPING,
     EdgeGeometry,
     Problem,
     residual_intervals,
@@ -213,7 +212,9 @@ class Seen(Value):
         rings, column = np.unique(self.ring, return_inverse=True)
         return rings, np.bincount(column, residual / cosine) / np.bincount(column)
 
-    def updated(self, T_target_lidar: Floats, place: Ints, beta: Floats, covariance: Floats, undecided: bool) -> Seen:
+    def updated(
+        self, T_target_lidar: Floats, place: Ints, beta: Floats, covariance: Floats, undecided: bool, step: float
+    ) -> Seen:
         """Return it with its Gaussians made again.
 
         Args:
@@ -223,6 +224,7 @@ class Seen(Value):
             covariance: (6 + k, 6 + k) of the right perturbation of the pose, rad and metres, and of the errors.
             undecided: whether rings may leave by another edge now, and ends become odd or cease to be: of two that
                 each make the other odd, one by one would go on for ever.
+            step: how far each Gaussian goes to where it belongs, 0 to 1.
         """
         rows = self.rows(T_target_lidar)
         g = rows.geometry
@@ -236,7 +238,6 @@ class Seen(Value):
         site = update_sites(
             prediction, variance, _own(g), (lower, upper, log_density), self.precision, self.information
         )
-        step = DAMPING if undecided else DAMPING / 2  # a Gaussian could swing about where it belongs
         precision = self.precision + step * (site.precision - self.precision)
         information = self.information + step * (site.information - self.information)
         seen, odd = site.cavity_variance + _own(g), self.odd
