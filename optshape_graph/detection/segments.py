@@ -39,6 +39,7 @@ class OrderedScan(Value):
     """A scan's returns sorted by ring and azimuth, and cut into segments.
 
     Attributes:
+        scan: as it was given.
         index: (N,) row of the scan.
         points: (N, 3) metres, LiDAR frame.
         ring: (N,) ascending.
@@ -50,6 +51,7 @@ class OrderedScan(Value):
         options: the settings of detection, used in all steps.
     """
 
+    scan: Scan
     index: Ints
     points: Floats
     ring: Ints
@@ -62,6 +64,10 @@ class OrderedScan(Value):
 
     def __len__(self) -> int:
         return len(self.index)
+
+    def returns(self, rows: Ints) -> Scan:
+        """Return the returns of rows (K,), with all their fields."""
+        return self.scan.select(self.index[rows])
 
     @cached_property
     def last(self) -> Ints:
@@ -156,7 +162,8 @@ def order_scan(scan: Scan, options: DetectionOptions) -> OrderedScan:
     resolution = _resolution(scan, azimuth, ring)
     starts = _starts(ring, azimuth, ranges, resolution, options)
     elevations = scan.sensor.elevations if scan.sensor is not None else _elevations(points, ranges, ring)
-    return OrderedScan(order, points, ring, azimuth, ranges, np.flatnonzero(starts), elevations, resolution, options)
+    first = np.flatnonzero(starts)
+    return OrderedScan(scan, order, points, ring, azimuth, ranges, first, elevations, resolution, options)
 
 
 def _position(ring: Ints, azimuth: Floats) -> Floats:
