@@ -14,7 +14,7 @@ from optshape_graph.detection.judge import not_stepped
 from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.detection.patches import find_patches
 from optshape_graph.detection.results import Detection, Detections, Rejection
-from optshape_graph.detection.segments import OrderedScan, order_scan
+from optshape_graph.detection.segments import Fired, OrderedScan, order_scan
 from optshape_graph.errors import EstimationError, InputError, expect
 from optshape_graph.scan import Scan, not_in_metres, put_right, rings_from_the_top, rings_missing
 from optshape_graph.target import Target
@@ -51,10 +51,15 @@ class Search(NamedTuple):
     Attributes:
         scan: a full revolution, as for `detect_targets`.
         targets: one target or several.
+        fired: of a scan that was taken while moving, and set right: given rows (K,) of returns on one target, returns
+            them as they were fired, so that rings are where they should be, and the frame T_scan_frame (4, 4) that
+            they are in. Poses are estimated from those, and each `Detection.estimate` is in its own frame. None: the
+            scan is as it was fired.
     """
 
     scan: Scan
     targets: Target | Sequence[Target]
+    fired: Fired | None = None
 
 
 def detect_in_scans(searches: Sequence[Search], options: DetectionOptions = _DEFAULTS) -> list[Detections | InputError]:
@@ -111,7 +116,7 @@ def _surfaces(search: Search, options: DetectionOptions, rejected: list[Rejectio
     if (error := unsearchable(search.scan)) is not None:
         raise error
     try:
-        ordered = order_scan(put_right(search.scan), options)
+        ordered = order_scan(put_right(search.scan), options, search.fired)
     except EstimationError:
         return []
     sizes = tuple(Size.of(target) for target in targets)

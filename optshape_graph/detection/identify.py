@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,11 +39,20 @@ class Surface(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Fit(Value):
-    """A target fitted to a candidate: rows of the ordered scan that are its returns, their ends, pose, evidence."""
+    """A target fitted to a surface.
+
+    Attributes:
+        rows: of the ordered scan, its returns.
+        ends: of these, at which rings begin, then those at which they end.
+        estimate: its pose, in the frame of the returns from which it was estimated.
+        placed: the same in the scan's frame.
+        evidence: for it.
+    """
 
     rows: Ints
     ends: Ints
     estimate: PoseEstimate
+    placed: PoseEstimate
     evidence: Evidence
 
 
@@ -100,7 +110,7 @@ def identify(surface: Surface, fitted: TargetFits) -> tuple[Detection | None, li
         likely = ", ".join(f"'{name}' {100 * p:.2g} %" for name, p in probabilities.items() if p > 1e-3)
         status, reason = "ambiguous", f"its returns do not tell the targets apart: {likely}"
     rows = best.rows[np.argsort(ordered.index[best.rows])]
-    doubtful = ~undoubted(ordered, best.estimate, rows)
+    doubtful = ~undoubted(ordered, best.placed, rows)
     target = best.estimate.target
     found = Detection(
         target,
@@ -248,50 +258,61 @@ def _posed(suspects: Sequence[_Suspect]) -> list[_Fit | _Misfit]:
     Near a rim that blooms, what a pose that fails takes for the target's own may suit it better: those are tried again.
     """
     found: dict[int, _Misfit] = {}
-    posed: dict[int, tuple[_Suspect, PoseEstimate, float]] = {}
+    posed: dict[int, _Posed] = {}
     left = dict(enumerate(suspects))
     for number in reversed(range(max(_rounds(suspects), 1))):
         if not left:
             break
         options = suspects[0].surface.ordered.options.pose
-        returns = [suspect.surface.ordered.returns(suspect.rows) for suspect in left.values()]
+        returns, frames = zip(*[one.surface.ordered.returns(one.rows) for one in left.values()], strict=True)
         estimates = estimate_poses(returns, [suspect.target for suspect in left.values()], options=options)
         again: dict[int, _Suspect] = {}
-        for (k, suspect), estimate in zip(left.items(), estimates, strict=True):
+        for (k, suspect), estimate, T in zip(left.items(), estimates, frames, strict=True):
             ordered = suspect.surface.ordered
             if isinstance(estimate, EstimationError):
                 found[k] = _Misfit(str(estimate), PASSED_AT_FIRST + 1)
                 continue
-            margin = edge_margin(ordered, suspect.target, estimate.T_lidar_target, outline_error(estimate))
+            moved = suspect.surface.ordered.fired is not None
+            placed = replace(estimate, T_lidar_target=T @ estimate.T_lidar_target) if moved else estimate
+            margin = edge_margin(ordered, suspect.target, placed.T_lidar_target, outline_error(placed))
             # A pose that is not determined is no objection to the target being there.
             if estimate.status == "failed" and not estimate.unobservable:
-                rows = returns_of(ordered, suspect.target, estimate.T_lidar_target, margin)
+                rows = returns_of(ordered, suspect.target, placed.T_lidar_target, margin)
                 if number and len(rows) and not np.array_equal(rows, suspect.rows):
                     again[k] = replace(suspect, rows=rows, ends=find_runs(ordered, rows).ends)
                 found[k] = _Misfit(estimate.reason, PASSED_AT_FIRST + 1)
             else:
-                posed[k] = suspect, estimate, margin
+                posed[k] = _Posed(suspect, estimate, placed, margin)
         left = again
     judged: dict[int, _Fit | _Misfit] = dict(zip(posed, _judged(list(posed.values())), strict=True))
     return [(found | judged)[k] for k in range(len(suspects))]
 
 
-def _judged(posed: Sequence[tuple[_Suspect, PoseEstimate, float]]) -> list[_Fit | _Misfit]:
-    """Ask all rays about poses, each with how far outside its outline a return may lie, metres."""
-    borders = [find_borders(suspect.surface.ordered, suspect.ends) for suspect, _, _ in posed]
-    boundaries = [_boundary(suspect, own) for (suspect, _, _), own in zip(posed, borders, strict=True)]
-    targets = [suspect.target for suspect, _, _ in posed]
-    looks = look_again(boundaries, targets, [estimate.T_lidar_target for _, estimate, _ in posed])
+class _Posed(NamedTuple):
+    """A suspect, its pose, the same in the scan's frame, and how far outside its outline a return may lie, metres."""
+
+    suspect: _Suspect
+    estimate: PoseEstimate
+    placed: PoseEstimate
+    margin: float
+
+
+def _judged(posed: Sequence[_Posed]) -> list[_Fit | _Misfit]:
+    """Ask all rays about poses."""
+    borders = [find_borders(one.suspect.surface.ordered, one.suspect.ends) for one in posed]
+    boundaries = [_boundary(one.suspect, own) for one, own in zip(posed, borders, strict=True)]
+    targets = [one.suspect.target for one in posed]
+    looks = look_again(boundaries, targets, [one.placed.T_lidar_target for one in posed])
     rectangles = rectangle_log_odds(boundaries, np.array([target.circumradius for target in targets]))
     fits: list[_Fit | _Misfit] = []
-    for (suspect, estimate, margin), own, look, rectangle in zip(posed, borders, looks, rectangles, strict=True):
-        ordered, candidate = suspect.surface.ordered, suspect.surface.candidate
-        evidence = judge(ordered, candidate, own, look, float(rectangle), estimate, margin)
-        against = objections(evidence, ordered.options.least_evidence)
+    for one, own, look, rectangle in zip(posed, borders, looks, rectangles, strict=True):
+        surface = one.suspect.surface
+        evidence = judge(surface.ordered, surface.candidate, own, look, float(rectangle), one.placed, one.margin)
+        against = objections(evidence, surface.ordered.options.least_evidence)
         if against:
             fits.append(_Misfit("; ".join(against), PASSED_AT_FIRST + 2 + len(fields(evidence)) - len(against)))
         else:
-            fits.append(_Fit(suspect.rows, suspect.ends, estimate, evidence))
+            fits.append(_Fit(one.suspect.rows, one.suspect.ends, one.estimate, one.placed, evidence))
     return fits
 
 
@@ -304,6 +325,6 @@ def _likelihoods(ordered: OrderedScan, fits: Sequence[_Fit]) -> Floats:
     common = fits[0].rows
     for fit in fits[1:]:
         common = np.intersect1d(common, fit.rows)
-    returns = ordered.returns(common)
+    returns, _ = ordered.returns(common)
     again = estimate_poses([returns] * len(fits), [fit.estimate.target for fit in fits], options=ordered.options.pose)
     return np.array([-np.inf if isinstance(one, EstimationError) else one.log_likelihood for one in again])
