@@ -58,14 +58,14 @@ def grow(scan: OrderedScan, patch: Patch, reach: float) -> Candidate:
     """
     of_patch = np.zeros(len(scan.first), dtype=bool)
     of_patch[patch.segments] = True
-    seed = of_patch[scan.segment]
     near = scan.near(patch.centre, reach)
-    member = near[seed[near]]
+    points = scan.points.take(near, axis=0)
+    member = near[of_patch[scan.segment[near]]]
     for _ in range(2):
-        plane = fit_plane(scan.points[member], scan.ring[member])
-        off = (scan.points[near] - plane.centre) @ plane.axes[0]
+        plane = fit_plane(scan.points.take(member, axis=0), scan.ring[member])
+        off = points @ plane.axes[0] - plane.distance
         runs = find_runs(scan, near[np.abs(off) < scan.band(plane.axes[0], plane.centre)])
-        keep = _connected(scan, runs, seed)
+        keep = _connected(scan, runs, of_patch)
         member = runs.rows[keep]
     if len(member) == 0:
         raise EstimationError("no returns in its plane")
@@ -88,14 +88,19 @@ def grow(scan: OrderedScan, patch: Patch, reach: float) -> Candidate:
     )
 
 
-def _connected(scan: OrderedScan, runs: Runs, seed: Bools) -> Bools:
-    """Return (N,) whether each return's run holds a seed, or overlaps one that does and is few rings away.
+def _connected(scan: OrderedScan, runs: Runs, of_patch: Bools) -> Bools:
+    """Return (N,) whether each return's run has some of a patch, or overlaps one that has and is few rings away.
 
     Runs further away are left out, such as the pole of a stand below a target.
+
+    Args:
+        scan: the ordered scan.
+        runs: of the returns.
+        of_patch: (S,) whether each segment of the scan is the patch's.
     """
     if len(runs.rows) == 0:
         return np.zeros(0, dtype=bool)
-    seeded = np.logical_or.reduceat(seed[runs.rows], runs.first)
+    seeded = np.logical_or.reduceat(of_patch[scan.segment[runs.rows]], runs.first)
     left, right = runs.azimuth[runs.last], runs.azimuth[runs.first]
     slack = scan.resolution.step
     overlap = (left[:, None] + slack >= right[seeded]) & (left[seeded] + slack >= right[:, None])
@@ -109,7 +114,8 @@ def _covered_area(scan: OrderedScan, runs: Runs, plane: ReturnsPlane) -> tuple[f
     A beam's solid angle cos(e) da de covers r^2 cos(e) da de / cos(incidence).
     """
     points, count = scan.points[runs.rows], runs.last - runs.first + 1
-    density = (points**2).sum(axis=1) * np.hypot(points[:, 0], points[:, 1]) / np.abs(points @ plane.axes[0])
+    x, y, _ = points.T
+    density = scan.range[runs.rows] ** 2 * np.hypot(x, y) / np.abs(points @ plane.axes[0])
     width = runs.azimuth[runs.last] - runs.azimuth[runs.first] + scan.resolution.step
     of_run = np.repeat(width * scan.ring_heights[runs.ring] / count, count)
     weight = density * of_run
@@ -138,8 +144,8 @@ def without_limbs(scan: OrderedScan, rows: Ints, plane: ReturnsPlane) -> Bools:
     apart = int(np.ceil(scan.options.thickest_limb / rise)) if rise > 0 else n_rings
     if 2 * apart >= n_rings:
         return np.ones(len(rows), dtype=bool)
-    yz = (scan.points[rows] - plane.centre) @ plane.axes[1:].T
-    _, ring = np.unique(scan.ring[rows], return_inverse=True)
+    left, of_return = (scan.points[rows] - plane.centre) @ plane.axes[1], scan.ring[rows]
+    ring = (np.cumsum(np.bincount(of_return) > 0) - 1)[of_return]
     keep = np.ones(len(rows), dtype=bool)
     for side, end, z in zip((-1.0, 1.0), at[:, 0].reshape(2, n_rings), height, strict=True):
         lines = [
@@ -151,7 +157,7 @@ def without_limbs(scan: OrderedScan, rows: Ints, plane: ReturnsPlane) -> Bools:
             )
         ]
         reach = _middle(np.array(lines))
-        keep &= ~(side * yz[:, 0] > reach[ring] + slack)  # NaN: nothing to compare with
+        keep &= ~(side * left > reach[ring] + slack)  # NaN: nothing to compare with
     return keep
 
 

@@ -105,15 +105,16 @@ def _search(frame: Keyframe, targets: Sequence[Target]) -> Search:
 
 def _sighting(frame: Keyframe, detection: Detection, named: bool, shapes: bool, biases: bool) -> Sighting:
     """A target from the scan's stamp, of several LiDARs from the first of them."""
-    returns, estimate, motion, at = frame.scan.select(detection.indices), detection.estimate, _motion(frame), 0.0
-    if motion is not None:
-        returns, at = at_own_time(returns, motion)
-    shape = shape_measurement(estimate, returns) if shapes and estimate.status == "ok" else None
+    fired, estimate, motion = frame.scan.select(detection.indices), detection.estimate, _motion(frame)
+    shape = None
+    if shapes and estimate.status == "ok":
+        shape = shape_measurement(estimate, fired if motion is None else at_own_time(fired, motion)[0])
     seen = Sighting.of(estimate, detection.target.name if named else None, shape, biases=biases)
-    if motion is not None:
+    if motion is not None and fired.time is not None:
+        at = float(fired.time.mean())
         seen = seen.moved(motion.between(0.0, at), motion.uncertainty(0.0, at))
     elif frame.sweep is not None:
-        seen = seen.moved(np.eye(4), _uncertainty(returns, frame.sweep))
+        seen = seen.moved(np.eye(4), _uncertainty(fired, frame.sweep))
     first = frame.T_first_lidar
     return replace(seen, lidar=frame.lidar) if first is None else seen.on_body(first, frame.lidar)
 
