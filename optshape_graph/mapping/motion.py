@@ -93,7 +93,7 @@ def at_own_time(returns: Scan, motion: Floats | Sweep) -> tuple[Scan, float]:
 
     Args:
         returns: with times.
-        motion: of the LiDAR, as of `deskew`.
+        motion: a twist (6,), rad/s and m/s, or a sweep, as of `deskew`.
 
     Raises:
         InputError: the scan has no times.
