@@ -120,20 +120,12 @@ class OrderedScan(Value):
 
     def near(self, centre: Floats, reach: float) -> Ints:
         """Return the rows of the returns within `reach` of a point (3,), metres, ascending."""
-        rows = self._window(centre, reach)
+        rows = self.toward(centre, reach)
         off = self.points.take(rows, axis=0) - centre
         return np.asarray(rows[np.einsum("ni,ni->n", off, off) < reach**2])
 
     def toward(self, centre: Floats, reach: float) -> Ints:
-        """Return the rows of the returns whose rays pass within `reach` of a point (3,), metres, ascending."""
-        rows, away = self._window(centre, reach), float(np.linalg.norm(centre))
-        if reach >= away:
-            return rows
-        cosine = np.sqrt(1.0 - (reach / away) ** 2)
-        return np.asarray(rows[self.points.take(rows, axis=0) @ centre >= cosine * away * self.range[rows]])
-
-    def _window(self, centre: Floats, reach: float) -> Ints:
-        """Return the rows of returns with the azimuths of points within `reach` of a point, ring by ring."""
+        """Return the rows of returns with the azimuths of points within `reach` of a point (3,), metres, ascending."""
         away = float(np.hypot(centre[0], centre[1]))
         rows = self._rows
         if reach >= away:
