@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "optshape_graph"
 
 LAYERS = [
     "cli", "viz", "evaluation", "calibration", "mapping", "simulation", "design", "graph", "detection", "pose",
-    "factors", "runs", "io",
+    "factors", "runs", "io", "compiled",
 ]  # fmt: skip
 """From the top; below them are the nouns."""
 

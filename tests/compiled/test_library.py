@@ -1,0 +1,146 @@
+"""The compiled library against NumPy, its reference: the same to rounding, and the same estimates without it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from optshape_graph import compiled
+from optshape_graph._arrays import Floats
+from optshape_graph.compiled import build, library
+from optshape_graph.io import load_target
+from optshape_graph.pose import association
+from optshape_graph.pose.ends import Posterior, work_out
+from optshape_graph.pose.ends.compiled import Compiled
+from optshape_graph.pose.evidence import Evidence, ends_of, measure
+from optshape_graph.pose.options import PoseOptions
+from optshape_graph.simulation import NoiseModel
+from optshape_graph.simulation.reference import reference_sensor
+from tests.pose.clouds import simulated
+from tests.statistics.groups import GROUPS, draw
+
+ROOT = Path(__file__).resolve().parents[2]
+
+needs_library = pytest.mark.skipif(library() is None, reason="no library: no compiler here, or left out")
+
+
+@pytest.fixture(scope="module")
+def evidences() -> list[list[Evidence]]:
+    """Scans of every group, and of the paper's sensor with noisy angles; together if targets have as many edges."""
+    drawn = [draw(name, 90210, index)[:2] for name in GROUPS for index in range(4)]
+    for level in (1, 3, 4):
+        for distance in (4.0, 8.0, 16.0):
+            noise, sensor = NoiseModel.level(level), reference_sensor()
+            scan, _ = simulated(distance, (10.0, -20.0, 15.0), level, sensor=sensor, noise=noise)
+            drawn.append((scan, load_target("paper")))
+    measured = [one for one in measure(*zip(*drawn, strict=True), PoseOptions()) if isinstance(one, Evidence)]
+    assert len(measured) > 40
+    assert any(one.problem.ring_shifts.any() for one in measured)
+
+    def edges(evidence: Evidence) -> int:
+        return len(evidence.problem.target)
+
+    return [list(some) for _, some in groupby(sorted(measured, key=edges), edges)]
+
+
+def assert_posteriors(found: Posterior, reference: Posterior, there: Floats) -> None:
+    for name in vars(reference.geometry):
+        a, b = getattr(found.geometry, name)[there], getattr(reference.geometry, name)[there]
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-13 * max(1.0, np.abs(b).max()))
+    sd = np.sqrt(np.einsum("cii->ci", reference.joint))
+    off = found.T_target_lidar[:, :3] - reference.T_target_lidar[:, :3]
+    assert np.abs(off).max() < 1e-7
+    assert np.abs((found.joint - reference.joint) / (sd[:, :, None] * sd[:, None])).max() < 1e-6
+    assert np.abs(found.offset - reference.offset).max() < 1e-6
+    for name in ("inset", "shift"):
+        assert np.abs(getattr(found, name) - getattr(reference, name))[there].max() < 1e-7
+    np.testing.assert_allclose(found.sigma[there], reference.sigma[there], rtol=1e-5)
+    np.testing.assert_allclose(found.log_likelihood, reference.log_likelihood, rtol=1e-6, atol=1e-4)
+
+
+@needs_library
+@pytest.mark.parametrize("sweeps", [2, 4])
+def test_posteriors_are_those_of_numpy(
+    evidences: list[list[Evidence]], sweeps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In batches that are padded, each ring end's own labels, and half of them given."""
+    for some in evidences:
+        starts = association.enumerate_poses(
+            [one.problem.edges for one in some], [one.plane for one in some], [one.problem.target for one in some]
+        )
+        ends, T = ends_of(some), np.concatenate(starts)
+        scan = np.repeat(np.arange(len(some)), [len(one) for one in starts])
+        labels = ends.take(scan).geometry(T).labels
+        labels[:, ::2] = -1
+        for given in (None, labels):
+            found_scan, found = work_out(ends, scan, T, given, sweeps)
+            with monkeypatch.context() as without:
+                without.setattr(Compiled, "of", lambda ends: None)
+                reference_scan, reference = work_out(ends, scan, T, given, sweeps)
+            np.testing.assert_array_equal(found_scan, reference_scan)
+            np.testing.assert_array_equal(found.geometry.labels, reference.geometry.labels)
+            near = reference.log_likelihood > reference.log_likelihood.max() - 200
+            there = np.broadcast_to(ends.there[found_scan] if len(some) > 1 else ends.there, found.inset.shape)[near]
+            index = np.flatnonzero(near)
+            assert_posteriors(found.select(index), reference.select(index), there)
+
+
+@needs_library
+def test_starts_are_those_of_numpy(evidences: list[list[Evidence]], monkeypatch: pytest.MonkeyPatch) -> None:
+    for some in evidences:
+        arguments = (
+            [one.problem.edges for one in some],
+            [one.plane for one in some],
+            [one.problem.target for one in some],
+        )
+        found = association.enumerate_poses(*arguments)
+        monkeypatch.setattr(association, "library", lambda: None)
+        reference = association.enumerate_poses(*arguments)
+        monkeypatch.undo()
+        for one, a, b in zip(some, found, reference, strict=True):
+            symmetries = one.problem.target.symmetry_transforms
+            if len(symmetries) == 1:
+                np.testing.assert_allclose(a, b, atol=1e-9)
+            equal = (symmetries @ b[:, None]).reshape(-1, 1, 16)  # those of a symmetric target are equally good
+            assert np.abs(equal - a.reshape(-1, 16)).max(axis=2).min(axis=0).max() < 1e-9
+
+
+@needs_library
+def test_a_library_of_other_sources_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "mark", lambda: 1)
+    assert library.__wrapped__() is None
+
+
+def test_without_the_library_an_estimate_is_the_same(tmp_path: Path) -> None:
+    scan, built = ROOT / "optshape_graph" / "data" / "demo" / "4m.pcd", ("--target", "built", "--sensor", "vlp32c")
+    poses = []
+    for said in ("on", "off"):
+        path = tmp_path / f"{said}.json"
+        command = [sys.executable, "-m", "optshape_graph", "estimate", scan, *built, "--json", path]
+        environment = os.environ | {"OPTSHAPE_COMPILED": said, "PYTHONPATH": str(ROOT)}
+        subprocess.run(command, check=True, capture_output=True, env=environment)
+        [estimate] = json.loads(path.read_text())["scans"]
+        poses.append(np.array(estimate["T_lidar_target"]))
+    np.testing.assert_allclose(*poses, atol=1e-7)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no compiler")
+def test_the_library_is_compiled_where_it_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for path in build.sources():
+        shutil.copy(path, tmp_path)
+    monkeypatch.setattr(build, "FOLDER", tmp_path)
+    monkeypatch.setattr(build, "LIBRARY", tmp_path / "library.so")
+    assert build.compile_library().startswith("compiled")
+    (tmp_path / "broken.c").write_text("this is no C")
+    assert build.compile_library().startswith("NumPy alone: ")
+    monkeypatch.setenv("CC", "no-such-compiler")
+    assert build.compile_library() == "no compiler: NumPy alone"
+    assert [path.name for path in tmp_path.iterdir() if path.suffix == ".new"] == []
