@@ -20,7 +20,14 @@ from optshape_graph.compiled.build import LIBRARY, mark
 
 _KINDS = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "d": ctypes.c_double}
 
-_FUNCTIONS = {"edge_geometry": "ppippp", "propagate": "ppipppip", "best_poses": "piiippdpp"}
+_FUNCTIONS = {
+    "edge_geometry": "ppippp",
+    "propagate": "ppipppip",
+    "best_poses": "piiippdpp",
+    "log_components": "iiippppppppdpp",
+    "firings_log_likelihood": "pipp",
+    "rays_log_likelihood": "pippp",
+}
 """Kinds of the functions' arguments: pointers, whole numbers, numbers. All return a whole number."""
 
 

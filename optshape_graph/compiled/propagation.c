@@ -4,7 +4,7 @@
    together to rounding. What differs: shifts of noisy rings, each of which moves its own ring's ends only, are eliminated
    instead of dense. */
 
-#include "vector_math.h"
+#include "chords.h"
 
 #include <stdlib.h>
 
@@ -487,39 +487,23 @@ static double exit_probability(const RingEnds *ends, int64_t b, const double *T,
 static double missed_rings(const RingEnds *ends, int64_t b, const double *T, double offset, double *corners)
 {
     int64_t n = ends->edges, O = ends->silent_rings;
-    double lost = ends->lost_rings[b], narrower = 2 * offset * ends->beam_angle[b], total = 0.0, middle[3] = {0};
+    double lost = ends->lost_rings[b], narrower = 2 * offset * ends->beam_angle[b], total = 0.0;
     if (!O)
         return 0.0;
     for (int64_t k = 0; k < n; k++) {
         const double *v = ends->vertices + 3 * (n * b + k);
         double off[3] = {v[0] - T[3], v[1] - T[7], v[2] - T[11]};
-        for (int j = 0; j < 3; j++) {
+        for (int j = 0; j < 3; j++)
             corners[3 * k + j] = off[0] * T[j] + off[1] * T[4 + j] + off[2] * T[8 + j];
-            middle[j] += corners[3 * k + j] / (double)n;
-        }
     }
-    double *across = corners + 3 * n, *centre = across + n, *up = centre + n;
-    for (int64_t k = 0; k < n; k++) { /* `sight_planes` */
-        double normal[3];
-        cross(corners + 3 * k, corners + 3 * ((k + 1) % n), normal);
-        double inwards = dot(normal, middle, 3), scale = (inwards > 0.0 ? -1.0 : inwards < 0.0 ? 1.0 : 0.0);
-        scale /= sqrt(dot(normal, normal, 3));
-        double x = normal[0] * scale, y = normal[1] * scale, angle = atan2(-y, -x) - ends->reference_azimuth[b];
-        across[k] = most(sqrt(x * x + y * y), 1e-300);
-        centre[k] = angle - 2 * PI * rint(angle / (2 * PI));
-        up[k] = normal[2] * scale;
-    }
-    for (int64_t o = 0; o < O; o++) { /* `chords` */
+    double *normals = corners + 3 * n, *arc = normals + 3 * n;
+    sight_planes(n, corners, normals);
+    arcs(n, normals, ends->reference_azimuth[b], arc);
+    for (int64_t o = 0; o < O; o++) {
         if (!ends->silent[b * O + o])
             continue;
-        double elevation = ends->elevations[b * O + o], sine = sin(elevation), cosine = cos(elevation);
-        double right = -INFINITY, left = INFINITY;
-        for (int64_t k = 0; k < n; k++) {
-            double level = -up[k] * sine / (across[k] * cosine);
-            double half = level < -1.0 ? -INFINITY : PI - acos(least(level, 1.0));
-            right = most(right, centre[k] - half);
-            left = least(left, centre[k] + half);
-        }
+        double elevation = ends->elevations[b * O + o], right, left;
+        chord(n, arc, sin(elevation), cos(elevation), 0.0, &right, &left);
         double steps = (left - right - narrower) / ends->azimuth_step[b];
         if (isnan(steps) || steps == -INFINITY)
             steps = 0.0;
@@ -534,7 +518,7 @@ int64_t propagate(const RingEnds *ends, const Model *model, int64_t poses, const
                   const Geometry *geometry, int64_t sweeps, const Posterior *out)
 {
     int64_t M = ends->ends, K = ends->shifts, n = ends->edges, rings = K - 1, wide = (M + 7) / 8 * 8;
-    double *memory = calloc((size_t)((ARRAYS + 1) * wide + rings * (CORE + 3) + 6 * n + 1), sizeof(double));
+    double *memory = calloc((size_t)((ARRAYS + 1) * wide + rings * (CORE + 3) + 9 * n + 1), sizeof(double));
     int64_t *ring_of = malloc((size_t)(M + 1) * sizeof(int64_t));
     if (!memory || !ring_of) {
         free(memory);

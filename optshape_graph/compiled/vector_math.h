@@ -94,6 +94,20 @@ INLINE double fast_log(double x)
     return e * 0x1.62e42fefa3800p-1 + (2.0 * s + (2.0 * s * q * p + e * 0x1.ef35793c76730p-45));
 }
 
+/* atan(y / x) for x, y >= 0, not both 0: the ratio of Cephes (Moshier), about 0 or 1, of the smaller over the larger. */
+INLINE double fast_angle(double y, double x)
+{
+    double low = least(x, y), high = most(x, y), beyond = low > 0.66 * high ? 1.0 : 0.0;
+    double t = (low - beyond * high) / (high + beyond * low), q = t * t;
+    double top = -8.750608600031904122785e-1, bottom = q + 2.485846490142306297962e1;
+    top = top * q - 1.615753718733365076637e1, bottom = bottom * q + 1.650270098316988542046e2;
+    top = top * q - 7.500855792314704667340e1, bottom = bottom * q + 4.328810604912902668951e2;
+    top = top * q - 1.228866684490136173410e2, bottom = bottom * q + 4.853903996359136964868e2;
+    top = top * q - 6.485021904942025371773e1, bottom = bottom * q + 1.945506571482613964425e2;
+    double angle = t * q * top / bottom + t + beyond * (0.25 * PI);
+    return y > x ? 0.5 * PI - angle : angle;
+}
+
 /* exp(t^2) erfc(t) for t >= 0: the ratio of `optshape_graph.gaussian`. */
 INLINE double scaled_tail(double t)
 {

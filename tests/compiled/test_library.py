@@ -21,7 +21,11 @@ from optshape_graph.pose import association
 from optshape_graph.pose.ends import Posterior, work_out
 from optshape_graph.pose.ends.compiled import Compiled
 from optshape_graph.pose.evidence import Evidence, ends_of, measure
+from optshape_graph.pose.modes import scan_log_likelihood
 from optshape_graph.pose.options import PoseOptions
+from optshape_graph.pose.sampling import Components, firings, mixture, rays
+from optshape_graph.pose.sampling.mixture import Draws
+from optshape_graph.se3 import exp, inverse, quaternion
 from optshape_graph.simulation import NoiseModel
 from optshape_graph.simulation.reference import reference_sensor
 from tests.pose.clouds import simulated
@@ -36,7 +40,7 @@ needs_library = pytest.mark.skipif(library() is None, reason="no library: no com
 def evidences() -> list[list[Evidence]]:
     """Scans of every group, and of the paper's sensor with noisy angles; together if targets have as many edges."""
     drawn = [draw(name, 90210, index)[:2] for name in GROUPS for index in range(4)]
-    for level in (1, 3, 4):
+    for level in (0, 1, 3, 4):
         for distance in (4.0, 8.0, 16.0):
             noise, sensor = NoiseModel.level(level), reference_sensor()
             scan, _ = simulated(distance, (10.0, -20.0, 15.0), level, sensor=sensor, noise=noise)
@@ -144,3 +148,33 @@ def test_the_library_is_compiled_where_it_stands(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv("CC", "no-such-compiler")
     assert build.compile_library() == "no compiler: NumPy alone"
     assert [path.name for path in tmp_path.iterdir() if path.suffix == ".new"] == []
+
+
+@needs_library
+def test_densities_are_those_of_numpy(evidences: list[list[Evidence]], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of poses drawn about the first start, near and far, for scans with a beam and with none, on each kind of grid."""
+    rng, kinds = np.random.default_rng(5), set()
+    for evidence in [one for some in evidences for one in some]:
+        target = evidence.problem.target
+        arguments = [evidence.problem.edges], [evidence.plane], [target]
+        first = inverse(association.enumerate_poses(*arguments)[0][0])
+        xi = rng.normal(size=(300, 6)) * np.geomspace(1e-3, 0.3, 300)[:, None]
+        T, offset = first @ exp(xi), rng.normal(size=300)
+        components = Components(
+            T[:5], rng.normal(size=(5, 7)) * 0.01, np.tile(np.eye(7) * 0.01, (5, 1, 1)), np.full(5, 0.2)
+        )
+        draws = Draws(T, offset, quaternion(T[:, None, :3, :3] @ target.symmetry_transforms[:, :3, :3]))
+        density = scan_log_likelihood(evidence)
+        found = density(T, offset), *mixture._log_components(components, draws)
+        for module in (firings, rays, mixture):
+            monkeypatch.setattr(module, "library", lambda: None)
+        with np.errstate(divide="ignore"):
+            reference = density(T, offset), *mixture._log_components(components, draws)
+        monkeypatch.undo()
+        kinds.add(evidence.problem.beam.ideal)
+        likely = reference[0] > reference[0].max() - 300
+        np.testing.assert_allclose(found[0][likely], reference[0][likely], rtol=1e-9, atol=1e-8)
+        assert (found[0][~likely] < reference[0].max() - 250).all()
+        np.testing.assert_allclose(found[1], reference[1], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found[2], reference[2], atol=1e-11)
+    assert kinds == {True, False}
