@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats, frozen
+from optshape_graph.compiled import address, library
 from optshape_graph.errors import InputError
 
 RIGID = 1e-6
@@ -186,7 +187,13 @@ def log(T: Floats) -> Floats:
 
 def difference(A: Floats, B: Floats) -> Floats:
     """Return xi (..., 6) with B = A Exp(xi), rotation first, of transforms (..., 4, 4)."""
-    return log(inverse(A) @ B)
+    functions = library()
+    if functions is None or (A.ndim > 2 and A.shape != B.shape):
+        return log(inverse(A) @ B)
+    a, b = (np.ascontiguousarray(T, dtype=np.float64) for T in (A, B))
+    xi = np.empty((*b.shape[:-2], 6))
+    functions.differences(xi.size // 6, A.ndim > 2, address(a), address(b), address(xi))
+    return xi
 
 
 def adjoint(T: Floats) -> Floats:

@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "optshape_graph"
 
 LAYERS = [
     "cli", "viz", "evaluation", "calibration", "mapping", "simulation", "design", "graph", "detection", "pose",
-    "factors", "runs", "io", "compiled",
+    "factors", "runs", "io",
 ]  # fmt: skip
 """From the top; below them are the nouns."""
 
@@ -52,6 +52,12 @@ def test_imports_point_down(layer: str) -> None:
         for name in imported(path):
             parts = name.split(".")
             assert len(parts) < 2 or parts[1] not in above, f"{path.relative_to(PACKAGE)} imports {name}"
+
+
+def test_what_is_compiled_knows_arrays_alone() -> None:
+    """Nouns use it, too."""
+    for path in (PACKAGE / "compiled").glob("*.py"):
+        assert imported(path) <= {"optshape_graph._arrays", "optshape_graph.compiled.build"}
 
 
 def test_factors_know_nothing_but_the_nouns() -> None:

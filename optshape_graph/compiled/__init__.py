@@ -27,6 +27,7 @@ _FUNCTIONS = {
     "log_components": "iiippppppppdpp",
     "firings_log_likelihood": "pipp",
     "rays_log_likelihood": "pippp",
+    "differences": "iippp",
 }
 """Kinds of the functions' arguments: pointers, whole numbers, numbers. All return a whole number."""
 

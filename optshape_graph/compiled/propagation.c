@@ -37,12 +37,16 @@ typedef struct {
     double *T, *covariance, *joint, *offset, *inset, *shift, *sigma, *log_likelihood;
 } Posterior;
 
-/* The constants of the model, as the Python has them, and the table of `outermost_return`. */
+/* The scatter of a single return, in beam widths, and the table of `outermost_return`. */
 typedef struct {
-    double inwards, grazing, largest_step, damping, own;
-    double weak_prior[6];
+    double own;
     int64_t steps;
-    const double *step, *step_shift, *step_share;
+    const double *step, *shift, *share;
+} Scatter;
+
+/* The constants of the model, as the Python has them. */
+typedef struct {
+    double inwards, grazing, largest_step, damping, weak_prior[6];
 } Model;
 
 INLINE double dot(const double *a, const double *b, int n)
@@ -97,7 +101,7 @@ static int64_t exit_edge(const double yz[2], const double outward[2], const doub
 }
 
 /* Look at the ring ends from C poses T (4, 4), of scans; labels -1: the edge that a ring end leaves by first. */
-int64_t edge_geometry(const RingEnds *ends, const Model *model, int64_t poses, const int64_t *scan, const double *T_poses,
+int64_t edge_geometry(const RingEnds *ends, const Scatter *scatter, int64_t poses, const int64_t *scan, const double *T_poses,
                    const Geometry *out)
 {
     int64_t M = ends->ends, n_edges = ends->edges;
@@ -127,8 +131,8 @@ int64_t edge_geometry(const RingEnds *ends, const Model *model, int64_t poses, c
             double mu = n[0] * slope[0] + n[1] * slope[1];
             double along = n[0] * u[0] + n[1] * u[1], across = ends->beam[i] * sqrt(1.0 + mu * mu);
             double step = fabs(along) * ends->width[i] / across;
-            double shift = interpolate(step, model->step, model->step_shift, model->steps);
-            double share = interpolate(step, model->step, model->step_share, model->steps);
+            double shift = interpolate(step, scatter->step, scatter->shift, scatter->steps);
+            double share = interpolate(step, scatter->step, scatter->share, scatter->steps);
             shift = (shift - ends->beam_offset[b]) * across;
             double direction[3] = {-mu, n[0], n[1]}, lifted = 0.0, turned = 0.0;
             for (int k = 0; k < 3; k++) {
@@ -138,7 +142,7 @@ int64_t edge_geometry(const RingEnds *ends, const Model *model, int64_t poses, c
                 out->direction[3 * o + k] = direction[k];
             }
             double up = ends->elevation_sd[i] * lifted, left = ends->azimuth_sd[i] * turned;
-            double of_beam = model->own * share * across, of_place = ends->scatter[i] * along;
+            double of_beam = scatter->own * share * across, of_place = ends->scatter[i] * along;
             double flatness = ends->flatness[b];
             out->labels[o] = label;
             out->residual[o] = dot(direction, y, 3) - offsets[label] - shift;

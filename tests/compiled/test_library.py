@@ -13,13 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from optshape_graph import compiled
+from optshape_graph import compiled, se3
 from optshape_graph._arrays import Floats
 from optshape_graph.compiled import build, library
 from optshape_graph.io import load_target
 from optshape_graph.pose import association
-from optshape_graph.pose.ends import Posterior, work_out
-from optshape_graph.pose.ends.compiled import Compiled
+from optshape_graph.pose.ends import Posterior, candidates, ring_ends, work_out
 from optshape_graph.pose.evidence import Evidence, ends_of, measure
 from optshape_graph.pose.modes import scan_log_likelihood
 from optshape_graph.pose.options import PoseOptions
@@ -86,9 +85,10 @@ def test_posteriors_are_those_of_numpy(
         labels[:, ::2] = -1
         for given in (None, labels):
             found_scan, found = work_out(ends, scan, T, given, sweeps)
-            with monkeypatch.context() as without:
-                without.setattr(Compiled, "of", lambda ends: None)
-                reference_scan, reference = work_out(ends, scan, T, given, sweeps)
+            for module in (candidates, ring_ends):
+                monkeypatch.setattr(module, "library", lambda: None)
+            reference_scan, reference = work_out(ends, scan, T, given, sweeps)
+            monkeypatch.undo()
             np.testing.assert_array_equal(found_scan, reference_scan)
             np.testing.assert_array_equal(found.geometry.labels, reference.geometry.labels)
             near = reference.log_likelihood > reference.log_likelihood.max() - 200
@@ -178,3 +178,19 @@ def test_densities_are_those_of_numpy(evidences: list[list[Evidence]], monkeypat
         np.testing.assert_allclose(found[1], reference[1], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(found[2], reference[2], atol=1e-11)
     assert kinds == {True, False}
+
+
+@needs_library
+def test_tangent_vectors_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of turns from none to half a turn, about one transform and about one for each."""
+    rng = np.random.default_rng(6)
+    axis = rng.normal(size=(400, 3))
+    angle = np.concatenate([[0.0, np.pi - 1e-9], np.geomspace(1e-12, 3.1, 398)])
+    xi = np.hstack([axis * (angle / np.linalg.norm(axis, axis=1))[:, None], rng.normal(size=(400, 3))])
+    A = exp(rng.normal(size=(400, 6)))
+    found = se3.difference(A[0], A[0] @ exp(xi)), se3.difference(A, A @ exp(xi))
+    monkeypatch.setattr(se3, "library", lambda: None)
+    for one in found:
+        np.testing.assert_allclose(one, xi, atol=1e-8)
+        np.testing.assert_allclose(one[2:], xi[2:], atol=1e-12)
+    np.testing.assert_allclose(se3.difference(A[0], A[0] @ exp(xi))[2:], found[0][2:], atol=1e-12)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from optshape_graph._arrays import Floats, Ints
-from optshape_graph.pose.ends.compiled import Compiled
+from optshape_graph.compiled import library
+from optshape_graph.pose.ends.compiled import propagate_compiled
 from optshape_graph.pose.ends.posterior import Posterior
 from optshape_graph.pose.ends.propagation import other_edges, propagate, with_what_is_left_out
 from optshape_graph.pose.ends.ring_ends import RingEnds
@@ -24,13 +25,14 @@ def work_out(ends: RingEnds, scan: Ints, T: Floats, labels: Ints | None, sweeps:
     Returns:
         The scan (K,) of each posterior, and the posteriors.
     """
-    compiled = Compiled.of(ends)
-    geometry = compiled.geometry(scan, T, labels) if compiled else ends.take(scan).geometry(T, labels)
+    geometry = ends.geometry(T, labels, scan)
     once = firsts(scan, geometry.labels)
     scan, T, geometry = scan[once], T[once], geometry.select(once)
-    if compiled:
-        return scan, compiled.posterior(scan, T, geometry, sweeps)
-    return scan, with_what_is_left_out(ends.take(scan), propagate(ends.take(scan), T, geometry, sweeps))
+    functions = library()
+    if functions is not None:
+        return scan, propagate_compiled(functions, ends, scan, T, geometry, sweeps)
+    ends = ends.take(scan)
+    return scan, with_what_is_left_out(ends, propagate(ends, T, geometry, sweeps))
 
 
 def firsts(scan: Ints, labels: Ints) -> Ints:
