@@ -38,11 +38,10 @@ def propagate_compiled(
         sigma=np.empty(of_ends),
         log_likelihood=np.empty(count),
     )
-    laid, _arrays = ends.laid_out()
     model = structure(INWARDS, GRAZING, LARGEST_STEP, DAMPING, *np.diag(WEAK_PRIOR).tolist())
     poses, seen = np.ascontiguousarray(T), structure(*vars(geometry).values())
     out = structure(*(value for value in vars(posterior).values() if value is not geometry))
-    before = (*map(address, (laid, model)), count, *map(address, (scan, poses, seen)))
+    before = (*map(address, (ends.laid_out[0], model)), count, *map(address, (scan, poses, seen)))
     if functions.propagate(*before, sweeps, address(out)):
         raise MemoryError
     return posterior

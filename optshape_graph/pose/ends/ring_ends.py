@@ -258,15 +258,20 @@ class RingEnds(Value):
         n, yz = self.normals[np.arange(len(self.normals))[:, None], labels], apply(T, points)[..., 1:]
         return np.stack([np.vecdot(n, yz * [1.0, -1.0]), np.vecdot(n, yz[..., ::-1])], axis=-1)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a pickle has: the arrays. Addresses are of one process."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    @cached_property
     def laid_out(self) -> tuple[Ints, list[NDArray[Any]]]:
-        """Return the ring ends as the compiled library has them, and the arrays that it holds."""
+        """Ring ends as the compiled library has them, and the arrays that it holds."""
         arrays = [np.ascontiguousarray(getattr(self, name)) for name in _LAID_OUT]
         counts = (*self.there.shape, self.normals.shape[1], self.by_shift.shape[2], self.silent.shape[1])
         return structure(*counts, *arrays), arrays
 
     def _geometry(self, functions: CDLL, T: Floats, labels: Ints | None, scan: Ints | None) -> EdgeGeometry:
         """Look at the ring ends from poses by the compiled library, as `geometry` does."""
-        shape, table, (laid, _arrays) = (len(T), self.there.shape[1]), outermost_table(), self.laid_out()
+        shape, table = (len(T), self.there.shape[1]), outermost_table()
         if scan is None:
             scan = np.arange(len(T)) if len(self.there) > 1 else np.zeros(len(T), dtype=np.int64)
         given = np.full(shape, -1) if labels is None else np.array(labels, dtype=np.int64)
@@ -274,7 +279,7 @@ class RingEnds(Value):
         geometry = EdgeGeometry(given, **made)
         scatter, out = structure(float(Beam.OWN), len(table[0]), *table), structure(given, *made.values())
         poses = np.ascontiguousarray(T)
-        functions.edge_geometry(*map(address, (laid, scatter)), len(T), *map(address, (scan, poses, out)))
+        functions.edge_geometry(*map(address, (self.laid_out[0], scatter)), len(T), *map(address, (scan, poses, out)))
         return geometry
 
     def geometry(self, T: Floats, labels: Ints | None = None, scan: Ints | None = None) -> EdgeGeometry:
