@@ -236,7 +236,7 @@ class Target(Value):
     def outside_distance(self, yz: ArrayLike) -> Floats:
         """Return the largest signed distance (N,) of points (N, 2) beyond an edge's line, metres; negative inside."""
         points = np.asarray(yz, dtype=float)
-        return np.asarray((points @ self.normals.T - self.offsets).max(axis=1))
+        return np.asarray((self.normals @ points.T - self.offsets[:, None]).max(axis=0))  # edge by edge: rows are long
 
 
 def _signed_area(polygon: Floats) -> float:

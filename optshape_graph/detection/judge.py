@@ -14,7 +14,7 @@ from optshape_graph.detection.rays import Rays, fired_near, returned_near
 from optshape_graph.detection.results import Evidence
 from optshape_graph.detection.segments import Borders, OrderedScan
 from optshape_graph.pose import PoseEstimate
-from optshape_graph.se3 import apply
+from optshape_graph.se3 import apply, cross
 from optshape_graph.target import Target
 
 _ALIKE = 14.0  # log odds given to a rectangular target, which cannot differ from rectangles of nearly its size
@@ -116,17 +116,19 @@ def judge(
 
     def regions(crossing: Floats) -> tuple[Bools, Bools, Bools]:
         """Return which rays are inside the outline, which beside it, and which are either or on its rim."""
-        gauge = (crossing @ (target.normals / target.offsets[:, None]).T).max(axis=1)
+        gauge = ((target.normals / target.offsets[:, None]) @ crossing.T).max(axis=0)
         return gauge < 1.0 - slack, (gauge > 1.0 + slack) & (gauge < outer), gauge <= 1.0 + slack
 
     inside, beside, upto_rim = regions(rays.crossing)
     fired_inside, fired_beside, _ = regions(fired)
     expected = max(float(fired_inside.sum() - (inside & before).sum()), 1.0)
     n_on = float((inside & on).sum())
+    contained = np.zeros(len(scan), dtype=bool)
+    contained[rays.rows[upto_rim]] = True
     against_rectangle = look.log_odds - rectangle + (_ALIKE if _is_rectangle(target) else 0.0)
     apart, seen = _beyond_sides(scan, estimate, rays, fired, band)
     return Evidence(
-        contained=float(np.isin(candidate.rows, rays.rows[upto_rim]).mean()),
+        contained=float(contained[candidate.rows].mean()),
         covered=min(n_on / expected, 1.0),
         edged=look.edged,
         solid=n_on / max(n_on + float((inside & through).sum()), 1.0),
@@ -180,43 +182,50 @@ def _beyond_sides(
     along = np.roll(start, -1, axis=0) - start
     length = np.linalg.norm(along, axis=1)
     density = max(float(target.contains(fired).sum()), 1.0) / target.area
+    strip = np.maximum(options.side_strip, 2.0 * options.fewest_returns / (density * length)) + 2.0 * band
+    rim = np.maximum(strip, options.rim * target.offsets.min())
 
-    def passed(crossing: Floats) -> tuple[Ints, Floats]:
-        """Return the side (N,) that each ray passes, and the distance from it, metres."""
-        outside = crossing @ target.normals.T - target.offsets
-        side = outside.argmax(axis=1)
-        return side, outside[np.arange(len(side)), side]
+    def passed(crossing: Floats, reach: Floats) -> tuple[Ints, Ints, Floats]:
+        """Return the rays (M,) that pass a side within its reach (n,), metres, the side, and the distance from it."""
+        beyond = target.normals @ crossing.T - target.offsets[:, None]
+        outside = beyond.max(axis=0)
+        rows = np.flatnonzero((outside > 0) & (outside < reach.max()))
+        side, outside = beyond[:, rows].argmax(axis=0), outside[rows]
+        within = outside < reach[side]
+        return rows[within], side[within], outside[within]
 
-    side, outside = passed(rays.crossing)
-    fired_side, fired_outside = passed(fired)
+    near, side, outside = passed(rays.crossing, rim)
+    _, fired_side, fired_outside = passed(fired, rim)
+    points = rays.points[near]
+    behind = points[:, 0]
     # Distances across the side's line: of the return, and of the ray.
-    of_return = np.hypot(rays.points[:, 0], ((rays.points[:, 1:] - start[side]) * target.normals[side]).sum(axis=1))
+    of_return = np.hypot(behind, ((points[:, 1:] - start[side]) * target.normals[side]).sum(axis=1))
     line = np.column_stack([np.zeros(len(start)), along / length[:, None]])[side]
-    normal = np.cross(rays.points - sensor, line)
+    normal = cross(points - sensor, line)
     to_line = np.column_stack([np.zeros(len(start)), start])[side] - sensor
     of_ray = np.abs((normal * to_line).sum(axis=1)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
     slack = options.band_sigmas * scan.resolution.range_noise
+    on = np.abs(behind) <= band
 
     def attached(reach: Floats, angle: float, farthest: float, off_plane: Bools) -> float:
         """Return, at the worst side, the share of the rays within `reach` (n,) beyond it whose surface begins there."""
-        near = (outside > 0) & (outside < reach[side])
-        begins = near & off_plane & (of_return <= np.minimum(of_ray / np.cos(angle) + slack, farthest))
-        on = near & (np.abs(rays.points[:, 0]) <= band)
-        beyond = (fired_outside > 0) & (fired_outside < reach[fired_side])
-        of_side = [np.bincount(which, minlength=len(start)) for which in (fired_side[beyond], side[on], side[begins])]
+        there = outside < reach[side]
+        begins = there & off_plane & (of_return <= np.minimum(of_ray / np.cos(angle) + slack, farthest))
+        beyond = fired_outside < reach[fired_side]
+        of_side = [
+            np.bincount(which, minlength=len(start)) for which in (fired_side[beyond], side[there & on], side[begins])
+        ]
         expected = of_side[0] - of_side[1]
         told = expected >= options.fewest_returns
         return float((of_side[2][told] / expected[told]).max(initial=0.0))
 
-    strip = np.maximum(options.side_strip, 2.0 * options.fewest_returns / (density * length)) + 2.0 * band
-    rim = np.maximum(strip, options.rim * target.offsets.min())
-    behind = attached(strip, options.steepest, options.hung_before - band, rays.points[:, 0] > band)
-    before = attached(rim, options.grazing, np.inf, rays.points[:, 0] < -band)
-    stopped = (outside > 0) & (outside < strip[side]) & (rays.points[:, 0] < -band)
-    there = (fired_outside > 0) & (fired_outside < strip[fired_side])
+    at_back = attached(strip, options.steepest, options.hung_before - band, behind > band)
+    in_front = attached(rim, options.grazing, np.inf, behind < -band)
+    stopped = (outside < strip[side]) & (behind < -band)
+    there = fired_outside < strip[fired_side]
     count = np.bincount(fired_side[there], minlength=len(start)) - np.bincount(side[stopped], minlength=len(start))
     seen = np.clip(count / (0.5 * density * length * strip), 0.0, 1.0)
-    return max(1.0 - max(behind, before), 0.0), float(length @ seen / length.sum())
+    return max(1.0 - max(at_back, in_front), 0.0), float(length @ seen / length.sum())
 
 
 def _is_rectangle(target: Target) -> bool:

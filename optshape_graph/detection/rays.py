@@ -38,9 +38,9 @@ def returned_near(scan: OrderedScan, T_lidar_target: Floats, radius: float) -> R
     """
     T = inverse(T_lidar_target)
     near = scan.toward(T_lidar_target[:3, 3], radius)
-    points = scan.points[near] @ T[:3, :3].T + T[:3, 3]
-    crossing, meets = _cross(points, T[:3, 3], scan.range[near], radius)
-    return Rays(near[meets], crossing[meets], points[meets])
+    rays = scan.points.take(near, axis=0) @ T[:3, :3].T
+    crossing, meets = _cross(rays, T[:3, 3], scan.range[near], radius)
+    return Rays(near[meets], crossing[meets], rays[meets] + T[:3, 3])
 
 
 def fired_near(scan: OrderedScan, T_lidar_target: Floats, radius: float) -> Floats:
@@ -56,17 +56,26 @@ def fired_near(scan: OrderedScan, T_lidar_target: Floats, radius: float) -> Floa
     half = np.arcsin(radius / flat) if radius < flat else np.pi
     azimuth = np.arctan2(centre[1], centre[0]) + np.arange(-half, half, scan.resolution.step)
     across = np.cos(rings)[:, None]
-    directions = np.stack(
-        np.broadcast_arrays(across * np.cos(azimuth), across * np.sin(azimuth), np.sin(rings)[:, None]), axis=-1
-    ).reshape(-1, 3)
-    crossing, meets = _cross(directions @ T[:3, :3].T + T[:3, 3], T[:3, 3], np.ones(len(directions)), radius)
-    return np.asarray(crossing[meets])
+    directions = np.empty((len(rings), len(azimuth), 3))
+    directions[..., 0] = across * np.cos(azimuth)
+    directions[..., 1] = across * np.sin(azimuth)
+    directions[..., 2] = np.sin(rings)[:, None]
+    crossing, meets = _cross(directions.reshape(-1, 3) @ T[:3, :3].T, T[:3, 3], 1.0, radius)
+    return crossing[meets]
 
 
-def _cross(points: Floats, sensor: Floats, ranges: Floats, radius: float) -> tuple[Floats, Bools]:
-    """Return where rays to points (N, 3), target frame, meet its plane (N, 2), and which (N,) do so within a radius."""
-    rays = points - sensor
-    ahead = rays[:, 0] > _STEEP * ranges
-    scale = -sensor[0] / np.where(ahead, rays[:, 0], 1.0)
-    crossing = sensor[1:] + scale[:, None] * rays[:, 1:]
+def _cross(rays: Floats, sensor: Floats, ranges: Floats | float, radius: float) -> tuple[Floats, Bools]:
+    """Return where rays meet a target's plane (N, 2), and which (N,) do so within a radius, metres.
+
+    Args:
+        rays: (N, 3) along the axes of the target's frame.
+        sensor: (3,) from which they come, target frame, metres.
+        ranges: (N,) their lengths, or that of all.
+        radius: metres.
+    """
+    x = rays[:, 0]
+    ahead = x > _STEEP * ranges
+    scale = -sensor[0] / np.where(ahead, x, 1.0)
+    crossing = rays[:, 1:] * scale[:, None]
+    crossing += sensor[1:]
     return crossing, ahead & (np.einsum("ni,ni->n", crossing, crossing) < radius**2)

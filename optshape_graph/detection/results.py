@@ -59,7 +59,7 @@ class Detection(Value):
 
     Attributes:
         target: the target.
-        estimate: its pose, from these returns.
+        estimate: its pose, from these returns; in the frame of `Search.fired`, where that was given.
         indices: (K,) rows of the scan of all returns that the pose uses, including those at the rim and with much
             noise.
         doubtful: (K,) whether each may be of something else: outside the outline or within a standard deviation of it,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,6 +16,10 @@ from optshape_graph.scan import Scan, rings_missing
 from optshape_graph.sensor import SensorModel
 
 _TURNS = (-2 * np.pi, 0.0, 2 * np.pi)  # an azimuth near the seam of the circle may be off by one of these, rad
+
+
+Fired = Callable[[Ints], tuple[Scan, Floats]]
+"""Given rows (K,) of a scan, returns them in a frame in which rings are where they were fired, and T_scan_frame."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,8 @@ class OrderedScan(Value):
     """A scan's returns sorted by ring and azimuth, and cut into segments.
 
     Attributes:
+        scan: as it was given.
+        fired: from which returns on a target its pose is estimated, where that is not the scan; see `Search`.
         index: (N,) row of the scan.
         points: (N, 3) metres, LiDAR frame.
         ring: (N,) ascending.
@@ -50,6 +57,8 @@ class OrderedScan(Value):
         options: the settings of detection, used in all steps.
     """
 
+    scan: Scan
+    fired: Fired | None
     index: Ints
     points: Floats
     ring: Ints
@@ -62,6 +71,11 @@ class OrderedScan(Value):
 
     def __len__(self) -> int:
         return len(self.index)
+
+    def returns(self, rows: Ints) -> tuple[Scan, Floats]:
+        """Return the returns of rows (K,) from which a pose is estimated, and their frame in the scan's, (4, 4)."""
+        index = self.index[rows]
+        return (self.scan.select(index), np.eye(4)) if self.fired is None else self.fired(index)
 
     @cached_property
     def last(self) -> Ints:
@@ -107,7 +121,7 @@ class OrderedScan(Value):
     def near(self, centre: Floats, reach: float) -> Ints:
         """Return the rows of the returns within `reach` of a point (3,), metres, ascending."""
         rows = self._window(centre, reach)
-        off = self.points[rows] - centre
+        off = self.points.take(rows, axis=0) - centre
         return np.asarray(rows[np.einsum("ni,ni->n", off, off) < reach**2])
 
     def toward(self, centre: Floats, reach: float) -> Ints:
@@ -116,7 +130,7 @@ class OrderedScan(Value):
         if reach >= away:
             return rows
         cosine = np.sqrt(1.0 - (reach / away) ** 2)
-        return np.asarray(rows[self.points[rows] @ centre >= cosine * away * self.range[rows]])
+        return np.asarray(rows[self.points.take(rows, axis=0) @ centre >= cosine * away * self.range[rows]])
 
     def _window(self, centre: Floats, reach: float) -> Ints:
         """Return the rows of returns with the azimuths of points within `reach` of a point, ring by ring."""
@@ -133,7 +147,7 @@ class OrderedScan(Value):
         return np.concatenate([rows[a:b] for a, b in zip(first.tolist(), last.tolist(), strict=True)])
 
 
-def order_scan(scan: Scan, options: DetectionOptions) -> OrderedScan:
+def order_scan(scan: Scan, options: DetectionOptions, fired: Fired | None = None) -> OrderedScan:
     """Sort a scan's returns along its rings, and cut the rings where the range jumps.
 
     The azimuth step is the sensor's, or the median spacing of the returns if it states none. An unknown sensor has a
@@ -156,7 +170,8 @@ def order_scan(scan: Scan, options: DetectionOptions) -> OrderedScan:
     resolution = _resolution(scan, azimuth, ring)
     starts = _starts(ring, azimuth, ranges, resolution, options)
     elevations = scan.sensor.elevations if scan.sensor is not None else _elevations(points, ranges, ring)
-    return OrderedScan(order, points, ring, azimuth, ranges, np.flatnonzero(starts), elevations, resolution, options)
+    first = np.flatnonzero(starts)
+    return OrderedScan(scan, fired, order, points, ring, azimuth, ranges, first, elevations, resolution, options)
 
 
 def _position(ring: Ints, azimuth: Floats) -> Floats:

@@ -20,7 +20,7 @@ from optshape_graph._arrays import Floats, Value
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.graph import Chains, Inverse, Solution, State, add_rows, solve
 from optshape_graph.mapping.sweep import Sweep
-from optshape_graph.pose import PoseEstimate, estimate_poses
+from optshape_graph.pose import PoseEstimate, estimate_pose
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import (
     PoseLike,
@@ -84,32 +84,22 @@ def estimate_moving(returns: Scan, target: Target, motion: Floats | Sweep) -> tu
         InputError: the scan has no times.
         EstimationError: as `estimate_pose`.
     """
-    (found,) = estimate_all_moving([returns], [target], motion)
-    if isinstance(found, EstimationError):
-        raise found
-    return found
+    straight, at = at_own_time(returns, motion)
+    return estimate_pose(straight, target), at
 
 
-def estimate_all_moving(
-    returns: Sequence[Scan], targets: Sequence[Target], motion: Floats | Sweep
-) -> list[tuple[PoseEstimate, float] | EstimationError]:
-    """Estimate the poses of K targets in one scan at once, each as `estimate_moving` does.
+def at_own_time(returns: Scan, motion: Floats | Sweep) -> tuple[Scan, float]:
+    """Bring returns on one target to the mean of their own times, and return that time, seconds from the scan's stamp.
 
     Args:
-        returns: (K,) on one target each, with times.
-        targets: (K,) the templates.
-        motion: a twist (6,), rad/s and m/s, or a sweep, as of `deskew`.
-
-    Returns:
-        For each target the estimate at a time, and that time; or the error, where the returns determine no pose.
+        returns: with times.
+        motion: of the LiDAR, as of `deskew`.
 
     Raises:
         InputError: the scan has no times.
     """
-    times = [float(_times(one).mean()) if len(one) else 0.0 for one in returns]
-    straight = [deskew(one, motion, at) if len(one) else one for one, at in zip(returns, times, strict=True)]
-    estimates = estimate_poses(straight, targets)
-    return [one if isinstance(one, EstimationError) else (one, at) for one, at in zip(estimates, times, strict=True)]
+    at = float(_times(returns).mean()) if len(returns) else 0.0
+    return deskew(returns, motion, at), at
 
 
 @dataclass(frozen=True, eq=False, repr=False)

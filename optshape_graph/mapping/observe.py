@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from optshape_graph._arrays import Floats
-from optshape_graph.detection import detect_targets
-from optshape_graph.errors import EstimationError, InputError
+from optshape_graph._arrays import Floats, Ints
+from optshape_graph.detection import Detection, Search, detect_in_scans
+from optshape_graph.errors import InputError
 from optshape_graph.io.records import from_record, to_record
 from optshape_graph.mapping.keyframes import HALF_REVOLUTION, Keyframe
-from optshape_graph.mapping.motion import deskew, estimate_all_moving
+from optshape_graph.mapping.motion import at_own_time, deskew
 from optshape_graph.mapping.shapes import shape_measurement
 from optshape_graph.mapping.sweep import Sweep
 from optshape_graph.mapping.track import Sighting
-from optshape_graph.pose import PoseEstimate
 from optshape_graph.runs.journal import Journal
+from optshape_graph.runs.tasks import batches
 from optshape_graph.runs.workers import Lost, Pool
 from optshape_graph.scan import Scan
 from optshape_graph.target import Target
@@ -27,10 +27,8 @@ from optshape_graph.target import Target
 SLOW = np.array([0.01] * 3 + [0.02] * 3)
 """Twist, rad/s and m/s, below which a scan counts as taken at rest: a millimetre in half a revolution."""
 
-OFF_ITS_RING = 0.25
-"""Share of the gap between rings by which deskewing may lift returns off their elevation: with less the estimate is the
-same to a fraction of its standard deviation (0.15, root mean square); with more it takes one at the target's own time,
-in whose frame rings are where they were fired."""
+AT_ONCE = 8
+"""Keyframes whose scans are searched at once."""
 
 
 class Observed(NamedTuple):
@@ -51,51 +49,73 @@ class Observed(NamedTuple):
     failure: str
 
 
-def observe(keyframe: Keyframe, targets: Sequence[Target], named: bool, shapes: bool, biases: bool = True) -> Observed:
-    """Find the targets in a keyframe's scan, moved to the scan's stamp.
+def observe(
+    keyframes: Sequence[Keyframe], targets: Sequence[Target], named: bool, shapes: bool, biases: bool = True
+) -> list[Observed]:
+    """Find the targets in the scans of keyframes, all at once, and move them to the scans' stamps.
 
     A scan with times is deskewed: whatever the LiDAR did in between is a known motion. Outlines are straight then; but
-    where the motion lifts returns off their rings, poses are estimated at each target's own time.
+    since the motion lifts returns off their rings, poses are estimated at each target's own time, in whose frame rings
+    are where they were fired.
 
     Args:
-        keyframe: the scan and its motion.
+        keyframes: the scans and their motions.
         targets: to look for.
         named: whether there is one of each template, so that the template is the landmark's name.
         shapes: whether to keep what refines the vertices.
         biases: whether to keep what tells the biases of the LiDAR's rings: a few kilobytes for each sighting.
     """
-    scan, sweep = keyframe.scan, keyframe.sweep
-    T_odometry_lidar = keyframe.T_odometry_first
-    moving = sweep is not None and scan.time is not None and bool((np.abs(sweep.twist) > SLOW).any())
-    straight = deskew(scan, sweep) if sweep is not None and moving else scan
-    try:
-        found = detect_targets(straight, targets).found
-    except (EstimationError, InputError) as error:
-        return Observed(keyframe.stamp, T_odometry_lidar, keyframe.distance, (), _reason(error))
-    known = [one for one in found if one.rival is None or one.status != "ambiguous"]  # which target it is
-    fired = [scan.select(one.indices) for one in known]
-    sightings: dict[int, Sighting] = {}
-    lifted: list[int] = []
-    for k, detection in enumerate(known):
-        returns = straight.select(detection.indices)
-        if moving and (_lifted(fired[k], returns) > OFF_ITS_RING or not detection.estimate.usable):
-            lifted.append(k)
-        elif detection.estimate.usable:
-            name = detection.target.name if named else None
-            seen = _sighting(detection.estimate, returns, name, shapes, biases)
-            sightings[k] = seen if sweep is None else seen.moved(np.eye(4), _uncertainty(fired[k], sweep))
-    if sweep is not None:
-        wanted = [known[k].target for k in lifted]
-        for k, again in zip(lifted, estimate_all_moving([fired[k] for k in lifted], wanted, sweep), strict=True):
-            if not isinstance(again, EstimationError) and again[0].usable:
-                name = known[k].target.name if named else None
-                sightings[k] = _moving_sighting(fired[k], *again, sweep, name, shapes, biases)
-    first = keyframe.T_first_lidar
-    placed = [
-        replace(seen, lidar=keyframe.lidar) if first is None else seen.on_body(first, keyframe.lidar)
-        for _, seen in sorted(sightings.items(), key=lambda item: item[0])
+    found = detect_in_scans([_search(frame, targets) for frame in keyframes])
+    return [
+        Observed(frame.stamp, frame.T_odometry_first, frame.distance, (), _reason(seen))
+        if isinstance(seen, InputError)
+        else Observed(
+            frame.stamp,
+            frame.T_odometry_first,
+            frame.distance,
+            tuple(
+                _sighting(frame, one, named, shapes, biases)
+                for one in seen.found
+                # It is known which target it is, and where.
+                if (one.rival is None or one.status != "ambiguous") and one.estimate.usable
+            ),
+            "",
+        )
+        for frame, seen in zip(keyframes, found, strict=True)
     ]
-    return Observed(keyframe.stamp, T_odometry_lidar, keyframe.distance, tuple(placed), "")
+
+
+def _motion(frame: Keyframe) -> Sweep | None:
+    """The motion by which a scan is set right; None: it was taken at rest, or has no times."""
+    sweep = frame.sweep
+    return None if sweep is None or frame.scan.time is None or (np.abs(sweep.twist) <= SLOW).all() else sweep
+
+
+def _search(frame: Keyframe, targets: Sequence[Target]) -> Search:
+    scan, motion = frame.scan, _motion(frame)
+    if motion is None:
+        return Search(scan, targets)
+
+    def fired(rows: Ints) -> tuple[Scan, Floats]:
+        returns, at = at_own_time(scan.select(rows), motion)
+        return returns, motion.between(0.0, at)
+
+    return Search(deskew(scan, motion), targets, fired)
+
+
+def _sighting(frame: Keyframe, detection: Detection, named: bool, shapes: bool, biases: bool) -> Sighting:
+    """A target from the scan's stamp, of several LiDARs from the first of them."""
+    returns, estimate, motion, at = frame.scan.select(detection.indices), detection.estimate, _motion(frame), 0.0
+    if motion is not None:
+        returns, at = at_own_time(returns, motion)
+    shape = shape_measurement(estimate, returns) if shapes and estimate.status == "ok" else None
+    seen = Sighting.of(estimate, detection.target.name if named else None, shape, biases=biases)
+    if motion is not None:
+        seen = seen.moved(motion.between(0.0, at), motion.uncertainty(0.0, at))
+    elif frame.sweep is not None:
+        seen = seen.moved(np.eye(4), _uncertainty(returns, frame.sweep))
+    first = frame.T_first_lidar
+    return replace(seen, lidar=frame.lidar) if first is None else seen.on_body(first, frame.lidar)
 
 
 def _uncertainty(fired: Scan, sweep: Sweep) -> Floats:
@@ -106,28 +126,6 @@ def _uncertainty(fired: Scan, sweep: Sweep) -> Floats:
     if fired.time is None:
         return np.outer(sweep.twist, sweep.twist) * HALF_REVOLUTION**2 / 3.0
     return sweep.uncertainty(0.0, float(fired.time.mean()))
-
-
-def _lifted(fired: Scan, straight: Scan) -> float:
-    """Largest change of a return's elevation by deskewing, in the least gap between the rings on the target."""
-    before, after = (np.arctan2(p[:, 2], np.hypot(p[:, 0], p[:, 1])) for p in (fired.points, straight.points))
-    assert fired.ring is not None  # targets are found ring by ring
-    _, ring = np.unique(fired.ring, return_inverse=True)
-    of_ring = np.bincount(ring, before) / np.bincount(ring)
-    return float(np.abs(after - before).max() / np.diff(of_ring).min())  # four rings at least: it was detected
-
-
-def _sighting(estimate: PoseEstimate, returns: Scan, name: str | None, shapes: bool, biases: bool) -> Sighting:
-    shape = shape_measurement(estimate, returns) if shapes and estimate.status == "ok" else None
-    return Sighting.of(estimate, name, shape, biases=biases)
-
-
-def _moving_sighting(
-    returns: Scan, estimate: PoseEstimate, at: float, sweep: Sweep, name: str | None, shapes: bool, biases: bool
-) -> Sighting:
-    """A sighting from the scan's stamp, of returns taken while moving, whose target's pose is known at their time."""
-    sighting = _sighting(estimate, deskew(returns, sweep, at), name, shapes, biases)
-    return sighting.moved(sweep.between(0.0, at), sweep.uncertainty(0.0, at))
 
 
 def observe_all(
@@ -154,19 +152,20 @@ def observe_all(
         InputError: the journal is of another recording.
     """
     work = partial(observe, targets=tuple(targets), named=named, shapes=shapes, biases=biases)
-    given: dict[int, Keyframe] = {}  # those that are with a worker, or kept and not yielded yet
-
-    def new() -> Iterator[tuple[int, Keyframe]]:
-        for number, frame in enumerate(frames):
-            if journal is None or number not in journal:
-                given[number] = frame._replace(scan=_NO_SCAN)  # what a lost one needs
-                yield number, frame
-            else:
-                kept[number] = frame.stamp
-
+    pool, numbered = pool or Pool(), batches(enumerate(frames), AT_ONCE)
+    given: dict[int, tuple[Keyframe, ...]] = {}  # those that are with a worker
     kept: dict[int, float] = {}
     waiting: dict[int, Observed] = {}
     next_number = 0
+
+    def new() -> Iterator[tuple[int, tuple[Keyframe, ...]]]:
+        for batch in numbered:
+            some, first = tuple(frame for _, frame in batch), batch[0][0]
+            if journal is not None and all(number in journal for number, _ in batch):
+                kept.update((number, frame.stamp) for number, frame in batch)
+            else:
+                given[first] = some
+                yield first, some
 
     def in_turn() -> Iterator[Observed]:
         nonlocal next_number
@@ -178,18 +177,29 @@ def observe_all(
                 yield _restored(journal, next_number, kept.pop(next_number))
             next_number += 1
 
-    for number, seen in (pool or Pool()).run(work, new()):
-        frame = given.pop(number)
-        if isinstance(seen, Lost):
-            seen = Observed(frame.stamp, frame.T_odometry_first, frame.distance, (), seen.reason)
-        if journal is not None:
-            journal.add(number, {"seen": to_record(seen)})
-        waiting[number] = seen
+    for first, together in pool.run(work, new()):
+        some = given.pop(first)
+        seen = _one_by_one(work, some, pool) if isinstance(together, Lost) else together
+        for number, one in enumerate(seen, start=first):
+            if journal is not None and number not in journal:
+                journal.add(number, {"seen": to_record(one)})
+            waiting[number] = one
         yield from in_turn()
     yield from in_turn()
 
 
-_NO_SCAN = Scan(np.zeros((0, 3)))
+def _one_by_one(
+    work: Callable[[tuple[Keyframe, ...]], list[Observed]], frames: Sequence[Keyframe], pool: Pool
+) -> list[Observed]:
+    """Observe keyframes with which a worker was killed twice, each by itself, so that only the one to blame is lost."""
+    found: dict[int, Observed] = {}
+    for number, seen in pool.run(work, ((number, (frame,)) for number, frame in enumerate(frames))):
+        frame = frames[number]
+        if isinstance(seen, Lost):
+            found[number] = Observed(frame.stamp, frame.T_odometry_first, frame.distance, (), seen.reason)
+        else:
+            (found[number],) = seen
+    return [found[number] for number in range(len(frames))]
 
 
 def _restored(journal: Journal, number: int, stamp: float) -> Observed:

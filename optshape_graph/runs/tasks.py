@@ -1,9 +1,10 @@
-"""Results of numbered tasks: in order, lost with their worker, or made on one thread."""
+"""Tasks in batches; results of numbered tasks: in order, lost with their worker, or made on one thread."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
@@ -19,6 +20,18 @@ class Lost:
     """
 
     reason: str
+
+
+def batches(items: Iterable[T], size: int) -> Iterator[tuple[T, ...]]:
+    """Yield items in their order, so many at a time; the last ones may be fewer.
+
+    Args:
+        items: of any number.
+        size: of a batch.
+    """
+    rest = iter(items)
+    while batch := tuple(islice(rest, size)):
+        yield batch
 
 
 def in_order(results: Iterable[tuple[int, R]], first: int = 0) -> Iterator[R]:

@@ -62,11 +62,19 @@ def test_one_placement_is_not_enough(tmp_path: Path) -> None:
     [
         (("--sensor", "vlp32c"), "is another model than"),
         (("--lidar", "roof"), "no LiDAR 'roof'"),
-        (("--distance", "paper", "square", "3"), "board 'square', which was not seen"),
+        (("--distance", "paper", "square", "3"), "board 'square': no board is called that; found paper"),
+        (("--distance", "paper/7", "paper", "3"), "vertices 0 to 3; found 7"),
+        (("--distance", "paper/1", "paper", "3"), "expected one between two boards"),
         (("--distance", "paper", "square", "far"), "expected positive numbers"),
+        (("--topic", "/points"), "only a recording has topics"),
+        (("--use-target-points",), r"session\.yaml:\d+.* no 'target_points', which were asked for"),
     ],
 )
-def test_what_cannot_be(session: Path, tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+def test_what_cannot_be(
+    session: Path, tmp_path: Path, arguments: tuple[str, ...], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Refused before the work: no scan is read."""
+    monkeypatch.setattr("optshape_graph.calibration.sensor.reading.load_mocap_scans", None)
     with pytest.raises(InputError, match=message):
         run("calibrate", "sensor", session, "-o", tmp_path / "mine.yaml", *arguments)
 

@@ -214,10 +214,21 @@ def test_killed_workers_cost_nothing(name: str, world: Path) -> None:
         assert_same_map(json.loads((world / written).read_bytes()), json.loads(whole))
     else:
         pairs = zip(*(json.loads(text)["scans"] for text in ((world / written).read_bytes(), whole)), strict=True)
-        lost = [found for found, expected in pairs if found != expected]
+        lost = [found for found, expected in pairs if not same_to_rounding(found, expected)]
         assert all("its worker was killed twice" in found["reason"] for found in lost)  # so it happened to be
         assert len(lost) <= killed // 2
     clean(world)
+
+
+def same_to_rounding(found: object, expected: object) -> bool:
+    """Whether two entries are the same to rounding: a chunk whose worker was killed twice is done file by file."""
+    if isinstance(found, dict) and isinstance(expected, dict):
+        return found.keys() == expected.keys() and all(same_to_rounding(found[key], expected[key]) for key in found)
+    if isinstance(found, list) and isinstance(expected, list):
+        return len(found) == len(expected) and all(map(same_to_rounding, found, expected))
+    if isinstance(found, float) and isinstance(expected, float):
+        return found == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    return found == expected
 
 
 def cmdline(pid: int) -> bytes:

@@ -205,3 +205,39 @@ def test_shared_errors_are_one_variable_for_all_measurements():
 def test_what_is_no_pose_in_a_chain_is_named():
     with pytest.raises(InputError, match="known part of a chain"):
         Chains([[X(0), np.eye(3)]])
+
+
+class Rough:
+    """A term whose cost has ripples that its linearisation does not know of, as robust losses have.
+
+    Args:
+        height: of the ripples, in half a chi-square.
+    """
+
+    def __init__(self, height, state=None):
+        self.height, self.state = height, state
+
+    def at(self, state):
+        return Rough(self.height, state)
+
+    @property
+    def x(self):
+        return np.asarray(self.state.values.atVector(X(0)))
+
+    @property
+    def error(self):
+        far = float(np.linalg.norm(self.x - 1.0))
+        return 0.5 * far**2 + self.height * np.cos(min(far / 0.09, 1.0) * np.pi)
+
+    def add_to(self, linear):
+        linear.add(X(0), np.eye(2), 1.0 - self.x, gtsam.noiseModel.Unit.Create(2))
+
+
+@pytest.mark.parametrize(("height", "there"), [(3e-3, True), (3e-2, False)])
+def test_a_cost_that_no_step_lowers_has_converged_near_its_minimum(height, there):
+    """Within a tenth of a standard deviation of where the linearisation points; farther away it has not."""
+    values = gtsam.Values()
+    values.insert(X(0), 1.0 + np.array([0.06, 0.0]) * (1.0 if there else 2.0))
+    solution = solve(values, [Rough(height)])
+    assert solution.converged == there
+    assert np.linalg.norm(solution.values.atVector(X(0)) - 1.0) < (0.1 if there else 0.2)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.camera.crops import planar_returns
 from optshape_graph.calibration.camera.sightings import TargetInScan
-from optshape_graph.detection import detect_targets
+from optshape_graph.detection import Detections, Search, detect_in_scans, unsearchable
 from optshape_graph.errors import AnotherSensorError, EstimationError, InputError
 from optshape_graph.factors import EDGE_OFFSET, OF_RANGES, OF_RINGS, BiasedMeasurement, SharedError
 from optshape_graph.factors._rows import triangular
@@ -21,9 +20,9 @@ from optshape_graph.io import Session, read_scan
 from optshape_graph.pose import PoseEstimate, estimate_pose, estimate_poses
 from optshape_graph.runs.files import fingerprint
 from optshape_graph.runs.kept import Kept
+from optshape_graph.runs.tasks import batches
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import adjoint, vec_derivative
-from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 ScanKey = tuple[Path, str, str]
@@ -48,16 +47,9 @@ def read_scans(
         InputError: the sensor file of a LiDAR is another model's: half of its scans or more do not fit it.
     """
     results: dict[ScanKey, ScanResult] = {}
-    if are_crops:
-        for first in range(0, len(tasks), AT_ONCE):
-            some = dict(islice(tasks.items(), first, first + AT_ONCE))
-            results.update(_in_crops(session, some, tick, unused, kept))
-    else:
-        for (path, lidar), names in tasks.items():
-            targets = {name: session.targets[name] for name in names}
-            for name, result in _in_scan(path, session.lidars[lidar], lidar, targets, unused, kept).items():
-                results[path, lidar, name] = result
-            tick()
+    look = _in_crops if are_crops else _in_scans
+    for some in batches(tasks.items(), CROPS_AT_ONCE if are_crops else SCANS_AT_ONCE):
+        results.update(look(session, dict(some), tick, unused, kept))
     for lidar in session.lidars:
         _check_model(session, lidar, {path: one for (path, of, _), one in results.items() if of == lidar})
     return results
@@ -74,28 +66,55 @@ def _check_model(session: Session, lidar: str, results: Mapping[Path, ScanResult
         )
 
 
-def _in_scan(
-    path: Path,
-    sensor: SensorModel,
-    lidar: str,
-    targets: Mapping[str, Target],
+SCANS_AT_ONCE = 8
+"""Whole scans in which targets are looked for at once."""
+
+
+def _in_scans(
+    session: Session,
+    tasks: Mapping[tuple[Path, str], list[str]],
+    tick: Callable[[], None],
     unused: Counter[str],
     kept: Kept,
-) -> dict[str, ScanResult]:
-    """Find targets in one whole scan, by detection."""
-    try:
-        scan = read_scan(path, sensor, unused=unused)
-        of = {"scan": fingerprint([str(path)]), "crop": False, "lidar": lidar, "sensor": sensor, "targets": targets}
-        found = kept(Mapping[str, TargetInScan | str], of, lambda: _detected(scan, lidar, targets))
-    except (EstimationError, InputError) as error:
-        return dict.fromkeys(targets, error)
-    return {
-        name: EstimationError(seen) if isinstance(seen, str) else replace(seen, all_returns=scan.points)
-        for name, seen in found.items()
-    }
+) -> dict[ScanKey, ScanResult]:
+    """Find targets in some whole scans by detection, all at once."""
+    results: dict[ScanKey, ScanResult] = {}
+    scans: dict[tuple[Path, str], Scan] = {}
+    for (path, lidar), names in tasks.items():
+        try:
+            scan = read_scan(path, session.lidars[lidar], unused=unused)
+            if (error := unsearchable(scan)) is not None:
+                raise error
+            scans[path, lidar] = scan
+        except (EstimationError, InputError) as error:
+            results.update(dict.fromkeys([(path, lidar, name) for name in names], error))
+        tick()
+    steps = [
+        {
+            "scan": fingerprint([str(path)]), "crop": False, "lidar": lidar, "sensor": session.lidars[lidar],
+            "targets": {name: session.targets[name] for name in tasks[path, lidar]},
+        }
+        for path, lidar in scans
+    ]  # fmt: skip
+
+    def detected() -> list[dict[str, TargetInScan | str] | EstimationError]:
+        named = [tuple(replace(session.targets[name], name=name) for name in tasks[task]) for task in scans]
+        found = detect_in_scans([Search(scan, own) for scan, own in zip(scans.values(), named, strict=True)])
+        return [
+            _detected(scan, lidar, tasks[path, lidar], detections)
+            for ((path, lidar), scan), detections in zip(scans.items(), found, strict=True)
+        ]
+
+    together = kept.together(Mapping[str, TargetInScan | str], steps, detected)
+    for (task, scan), seen in zip(scans.items(), together, strict=True):
+        for name in tasks[task]:
+            one = seen if isinstance(seen, EstimationError) else seen[name]
+            one = EstimationError(one) if isinstance(one, str) else one
+            results[*task, name] = one if isinstance(one, EstimationError) else replace(one, all_returns=scan.points)
+    return {(*task, name): results[*task, name] for task, names in tasks.items() for name in names}
 
 
-AT_ONCE = 16
+CROPS_AT_ONCE = 16
 """Crops in which targets' poses are estimated at once."""
 
 
@@ -152,16 +171,21 @@ def _cleaned(session: Session, crops: Mapping[ScanKey, Scan]) -> list[TargetInSc
     return [found[key] for key in crops]
 
 
-def _detected(scan: Scan, lidar: str, targets: Mapping[str, Target]) -> dict[str, TargetInScan | str]:
-    """Find targets in a full scan, of several of one kind the most certain; or say why there is none."""
-    named = {name: replace(target, name=name) for name, target in targets.items()}
-    detections = detect_targets(scan, list(named.values()))
+def _detected(
+    scan: Scan, lidar: str, names: Sequence[str], detections: Detections | InputError
+) -> dict[str, TargetInScan | str] | EstimationError:
+    """What a full scan shows of targets, of several of one kind the most certain; or say why there is none."""
+    if isinstance(detections, InputError):
+        raise detections
     results: dict[str, TargetInScan | str] = {}
-    for name in targets:
+    for name in names:
         found = [one for one in detections.found if one.target.name == name and one.estimate.status != "failed"]
         if found:
             best = max(found, key=lambda one: one.score)
-            results[name] = target_in_scan(scan.select(best.indices), best.target, lidar, best.estimate)
+            try:
+                results[name] = target_in_scan(scan.select(best.indices), best.target, lidar, best.estimate)
+            except EstimationError as error:
+                return error
         else:
             closest = max(detections.rejected, key=lambda one: one.area, default=None)
             why = f"; the largest surface turned down: {closest.reason}" if closest else ""

@@ -66,8 +66,9 @@ def read_sightings(
         kept: what a run that was stopped found, and this one finds; None: it is not kept.
 
     Raises:
-        InputError: fewer than two sensors; crops that were asked for are missing; intrinsics that fit half of the
-            images or fewer.
+        InputError: fewer than two sensors; a view that is moving without a stamp; markers of no target; crops that
+            were asked for are missing; intrinsics that fit half of the images or fewer; a moving view's cloud without
+            times.
         EstimationError: no image, though there are some, shows a target.
     """
     sensors = (*session.lidars, *session.cameras, *sensors_of(session.mocap))
@@ -75,8 +76,11 @@ def read_sightings(
         raise InputError(
             f"{session.path}: a rig is of two sensors at least; the session names {', '.join(sensors)} alone"
         )
-    scans, images = read_files(session, use_target_points, progress, passed_over, kept)
+    for view in session.views:
+        if view.moving and view.stamp is None:
+            raise InputError(f"{view.where}: a view that is 'moving' needs a 'stamp', seconds on its sensor's clock")
     vertices = _vertices(session)
+    scans, images = read_files(session, use_target_points, progress, passed_over, kept)
     moments = moments_of(session.views)
     sightings: dict[Hashable, Sighting] = {}
     problems: dict[tuple[str, str], Exception] = {}
@@ -101,10 +105,9 @@ def _of_moving(sighting: Sighting, view: View, number: int) -> Sighting:
     """A sighting of what moves: at a time of its own, and so in a place of its own.
 
     Raises:
-        InputError: the view has no stamp, or its cloud no times.
+        InputError: the view's cloud has no times.
     """
-    if view.stamp is None:
-        raise InputError(f"{view.where}: a view that is 'moving' needs a 'stamp', seconds on its sensor's clock")
+    assert view.stamp is not None  # or the session was refused
     time = view.stamp
     if isinstance(sighting.seen, TargetInScan):
         if sighting.seen.own.time is None:

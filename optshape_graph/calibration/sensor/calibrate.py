@@ -12,20 +12,28 @@ import numpy as np
 from optshape_graph._arrays import Floats
 from optshape_graph.calibration.mocap.agreement import find_agreement
 from optshape_graph.calibration.mocap.comparison import MocapScan
-from optshape_graph.calibration.sensor.graph import Joint, solve
+from optshape_graph.calibration.sensor.graph import Joint, Known, solve
 from optshape_graph.calibration.sensor.held_out import IN_TURN, posterior_of, that_help
 from optshape_graph.calibration.sensor.known import Distance, known_beside
 from optshape_graph.calibration.sensor.noise import Sampling, drift_of, sampling
-from optshape_graph.calibration.sensor.placements import Placement, of_recording, of_session, one_lidar
+from optshape_graph.calibration.sensor.placements import Placement
+from optshape_graph.calibration.sensor.reading import of_recording, of_session
 from optshape_graph.calibration.sensor.result import PlacementResult, SensorCalibration
 from optshape_graph.calibration.sensor.seen import Seen
-from optshape_graph.calibration.sensor.told import directions, silent_rings
-from optshape_graph.calibration.sensor.unknowns import COMMON, EDGE_SYSTEMATIC, Deviation, prior_sds
+from optshape_graph.calibration.sensor.sources import FEWEST, Opened, Source, too_few
+from optshape_graph.calibration.sensor.told import directions, mean_range_is_told, silent_rings
+from optshape_graph.calibration.sensor.unknowns import (
+    COMMON,
+    EDGE_SYSTEMATIC,
+    Deviation,
+    prior_sds,
+    with_mean_range_open,
+)
 from optshape_graph.calibration.verdict import Finding
-from optshape_graph.errors import EstimationError, InputError
+from optshape_graph.errors import EstimationError
 from optshape_graph.factors import AZIMUTH, EDGE_OFFSET, ELEVATION, RANGE_BIAS
 from optshape_graph.io.recordings import Recording
-from optshape_graph.io.sessions import Session, load_session
+from optshape_graph.io.sessions import Session
 from optshape_graph.runs.kept import Kept
 from optshape_graph.scan import put_right
 from optshape_graph.sensor import SensorModel
@@ -37,17 +45,11 @@ LEFT_OUT = 3
 FEW = 60
 """Placements up to which every moment is left out once; of more, one part is enough."""
 
-FEWEST = 6
-"""Placements at least: two thirds of them calibrate, the others judge."""
-
 ENOUGH = 15
 """Placements below which the result is read with care."""
 
 DRIFT_ROUNDS, SMALL_DRIFT = 4, 5e-4
 """How often the drift of range biases is estimated at most, and its change that is none, metres."""
-
-Source = str | Path | Session | Recording
-"""What boards were recorded in."""
 
 
 def calibrate_sensor(
@@ -79,32 +81,25 @@ def calibrate_sensor(
         InputError: a source that can't be read or used, no sensor, or sensors that differ.
         EstimationError: too few placements, or no solution.
     """
-    wanted = [targets] if isinstance(targets, Target) else list(targets)
+    every = [sources] if isinstance(sources, str | Path | Session | Recording) else sources
+    wanted = [targets] if isinstance(targets, Target) else targets
+    opened = Opened.of(every, wanted, sensor, lidar, topic)
+    opened.check(distances, use_target_points)
     placements: list[Placement] = []
     left_out: list[str] = []
     frames: list[list[int]] = []
-    for source in [sources] if isinstance(sources, str | Path | Session | Recording) else sources:
-        opened = _opened(source)
-        if isinstance(opened, Session):
-            opened, its = one_lidar(opened, lidar, sensor)
-            if sensor is None:
-                sensor = its
-            found, gone = of_session(opened, wanted, use_target_points, progress, kept or Kept())
+    for source in opened.sources:
+        if isinstance(source, Session):
+            found, gone = of_session(source, opened.targets, use_target_points, progress, kept or Kept())
         else:
-            if sensor is None:
-                raise InputError(f"{opened.path}: a recording needs the sensor's file, or a built-in name")
-            if not wanted:
-                raise InputError(f"{opened.path}: a recording needs the targets to look for")
-            found, gone = of_recording(opened, topic, wanted, sensor, progress, kept or Kept())
+            found, gone = of_recording(source, topic, opened.targets, opened.sensor, progress, kept or Kept())
         if any(placement.markers is not None for placement in found):
             frames.append([len(placements) + k for k in range(len(found))])
         # Moments of different sources are different moments.
         offset = 1 + max((one.moment for p in placements for one in p.sightings), default=-1)
         placements += [_later(placement, offset) for placement in found]
         left_out += gone
-    if sensor is None:
-        raise InputError("nothing to calibrate: no session and no recording")
-    return calibrate_placements(placements, sensor, distances, frames, left_out)
+    return calibrate_placements(placements, opened.sensor, distances, frames, left_out)
 
 
 def calibrate_placements(
@@ -128,33 +123,22 @@ def calibrate_placements(
     """
     if len(placements) < FEWEST:
         reasons = "".join(f"; {text}" for text in left_out[:3])
-        raise EstimationError(
-            f"a sensor's calibration needs {FEWEST} placements of boards that stand still at least, better 20; found "
-            f"{len(placements)}{reasons}"
-        )
-    seen = [
-        Seen.of(put_right(one.returns), placement.target, p, placement.sightings[0].estimate.T_target_lidar)
-        for p, placement in enumerate(placements)
-        for one in placement.sightings
-    ]
-    start = {p: placement.sightings[0].estimate.T_target_lidar for p, placement in enumerate(placements)}
+        raise too_few(f"found {len(placements)}{reasons}")
     tied = [(numbers, _frame(placements, numbers)) for numbers in frames]
     known = known_beside(placements, distances, tied)
-    joint, drift = solve(seen, start, known), 0.0
-    for _ in range(DRIFT_ROUNDS):
-        more = drift_of(joint)
-        if abs(more - drift) < SMALL_DRIFT:
-            break
-        drift = more
-        seen = [one.drifting(drift) for one in joint.seen]
-        joint = solve(seen, joint.T_target_lidar, known)
+    prior = with_mean_range_open(sensor) if distances or frames else sensor
+    joint, drift = _solved(placements, prior, known)
+    if prior is not sensor and not mean_range_is_told(joint, prior):
+        prior = sensor
+        joint, drift = _solved(placements, prior, known)
+    seen, start = joint.seen, _starts(placements)
     folds = _folds(placements, seen, start)
     kept, worth = that_help(folds)
     before, after = _ring_residuals(folds, kept, sensor.n_rings)
     held = tuple(kind for kind in IN_TURN if kind not in kept)
     mean, covariance = posterior_of(joint, joint.errors, kept)
     joint = replace(joint, beta=mean, covariance=covariance)
-    deviations = {kind: Deviation.of(sensor, kind, joint.errors, mean, covariance) for kind in COMMON}
+    deviations = {kind: Deviation.of(prior, kind, joint.errors, mean, covariance) for kind in COMMON}
     sampled = sampling(seen, sensor.n_rings)
     calibrated = _calibrated(sensor, deviations, joint, sampled, drift, kept)
     result = SensorCalibration(
@@ -179,10 +163,27 @@ def calibrate_placements(
     return replace(result, findings=tuple(_findings(result, joint, held)))
 
 
-def _opened(source: Source) -> Session | Recording:
-    if isinstance(source, Session | Recording):
-        return source
-    return load_session(source) if Path(source).suffix.lower() in (".yaml", ".yml", ".json") else Recording(source)
+def _starts(placements: Sequence[Placement]) -> dict[int, Floats]:
+    """T_target_lidar (4, 4) of each placement to start from."""
+    return {p: placement.sightings[0].estimate.T_target_lidar for p, placement in enumerate(placements)}
+
+
+def _solved(placements: Sequence[Placement], sensor: SensorModel, known: Known) -> tuple[Joint, float]:
+    """The solution, and what each placement has of its own in each ring's range bias, a standard deviation, metres."""
+    start = _starts(placements)
+    seen = [
+        Seen.of(put_right(replace(one.returns, sensor=sensor)), placement.target, p, start[p])
+        for p, placement in enumerate(placements)
+        for one in placement.sightings
+    ]
+    joint, drift = solve(seen, start, known), 0.0
+    for _ in range(DRIFT_ROUNDS):
+        more = drift_of(joint)
+        if abs(more - drift) < SMALL_DRIFT:
+            break
+        drift = more
+        joint = solve([one.drifting(drift) for one in joint.seen], joint.T_target_lidar, known)
+    return joint, drift
 
 
 def _later(placement: Placement, offset: int) -> Placement:

@@ -90,7 +90,7 @@ def known_beside(
         if not pairs:
             raise InputError(f"boards '{distance.a[0]}' and '{distance.b[0]}' were never seen at once")
         for i, j in pairs:
-            a, b = (_point(placements[k].target, v) for k, (_, v) in ((i, distance.a), (j, distance.b)))
+            a, b = (point_of(placements[k].target, v) for k, (_, v) in ((i, distance.a), (j, distance.b)))
             # One measurement: however often it is used, it says the same once.
             factors.push_back(distance_factor(i, a, j, b, distance.metres, distance.sd * np.sqrt(len(pairs))))
     layouts: dict[str, int] = {}
@@ -150,9 +150,18 @@ def _pairs(placements: Sequence[Placement], distance: Distance) -> list[tuple[in
     ]  # fmt: skip
 
 
-def _point(target: Target, vertex: int | None) -> Floats:
+def point_of(board: Target, vertex: int | None) -> Floats:
+    """Return the place (3,) of a board's vertex, or of its origin, in its frame, metres.
+
+    Args:
+        board: the board.
+        vertex: its number; None: the origin.
+
+    Raises:
+        InputError: the board has no such vertex.
+    """
     if vertex is None:
         return np.zeros(3)
-    if vertex >= len(target):
-        raise InputError(f"board '{target.name}' has vertices 0 to {len(target) - 1}; found {vertex}")
-    return np.asarray(target.vertices[vertex])
+    if vertex >= len(board):
+        raise InputError(f"board '{board.name}' has vertices 0 to {len(board) - 1}; found {vertex}")
+    return np.asarray(board.vertices[vertex])

@@ -1,43 +1,24 @@
-"""Where boards stood still: from the scans of a session or a recording, target by target, revolution by revolution."""
+"""Boards in scans, and the placements that they make up: runs in which a board is in one place."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
-from optshape_graph.calibration.mocap.session import load_mocap_scans
-from optshape_graph.detection import detect_targets
-from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.gaussian import chi_square_tail
-from optshape_graph.io.clouds import read_scan
-from optshape_graph.io.recordings import Recording
-from optshape_graph.io.sessions import Session
-from optshape_graph.pose import PoseEstimate, estimate_pose
-from optshape_graph.runs.files import fingerprint
-from optshape_graph.runs.kept import Kept
+from optshape_graph.pose import PoseEstimate
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import angle
-from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
-
-ALIKE = np.radians(1.5)
-"""Up to this much the beams of a unit differ from its model's data sheet, rad."""
 
 STILL = (0.02, np.radians(2.0))
 """Distance, metres, and angle, rad, from the run's first pose within which a board stands still: a step's noise. Who
 carries one moves it by more from a revolution to the next."""
 
-FEWEST_STILL = 4
-"""Revolutions for which a board of a recording stands still at least: fewer, and it may have been on its way."""
-
-MOVED = 1e-5
-"""Probability of so much motion by chance, from the first revolution to the last, below which a board moved: of sixteen
-hundred sessions of sixty placements, one loses one by chance."""
+MARKERS_STILL = 0.005
+"""Distance, metres, within which markers stay that do not move: their noise."""
 
 MOST_REVOLUTIONS = 8
 """Revolutions of a placement that take part, evenly spread: by then ring ends and ring errors limit it."""
@@ -53,6 +34,8 @@ class Sighting(Value):
         estimate: its pose.
         returns: its returns.
         markers: (n, 3) motion-capture markers near its vertices, metres, NaN where not seen; None: none.
+        time: of the scan, seconds on one clock; None: not known.
+        place: that the board is said to stay in, a number; None: nothing is said.
     """
 
     moment: int
@@ -60,6 +43,26 @@ class Sighting(Value):
     estimate: PoseEstimate
     returns: Scan
     markers: Floats | None = None
+    time: float | None = None
+    place: int | None = None
+
+    def near(self, T_lidar_target: Floats) -> Floats:
+        """Return its pose (4, 4), of all in which the board looks the same the one that is turned least from another.
+
+        Args:
+            T_lidar_target: (4, 4) the other.
+        """
+        return self.estimate.target.nearest_equivalent(self.estimate.T_lidar_target, T_lidar_target)
+
+    def apart(self, other: Sighting) -> tuple[float, float]:
+        """Return the distance, metres, and the angle, rad, to another pose of the board.
+
+        Args:
+            other: sighting of it.
+        """
+        T = self.estimate.T_lidar_target
+        its = other.near(T)
+        return float(np.linalg.norm(T[:3, 3] - its[:3, 3])), float(angle(T[:3, :3].T @ its[:3, :3]))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,211 +92,78 @@ class Placement(Value):
 
     @property
     def markers(self) -> Floats | None:
-        """(n, 3) motion-capture markers, metres, or None."""
-        return self.sightings[0].markers
+        """(n, 3) motion-capture markers, on average, metres, NaN where not seen; None: none."""
+        if self.sightings[0].markers is None:
+            return None
+        markers = np.array([one.markers for one in self.sightings])
+        seen = np.isfinite(markers)
+        return np.asarray(
+            np.where(seen, markers, 0.0).sum(axis=0) / np.where(seen.any(axis=0), seen.sum(axis=0), np.nan)
+        )
 
     def __repr__(self) -> str:
         return f"Placement({self.target.name!r} at {self.distance:.1f} m, {len(self.sightings)} revolutions)"
 
 
-def gather(sightings: Iterable[Sighting], fewest: int = 1) -> tuple[Placement, ...]:
-    """Return the placements of sightings in the order of time: runs in which a board stood still.
+def gather(sightings: Iterable[Sighting]) -> tuple[Placement, ...]:
+    """Return the placements of sightings in the order of time: runs in which a board is in one place.
 
     Args:
         sightings: of all boards.
-        fewest: revolutions of a placement at least.
     """
-    return _placed(_runs(sightings), fewest)
+    return placed(runs_of(sightings))
 
 
-def _runs(sightings: Iterable[Sighting]) -> dict[str, list[list[Sighting]]]:
-    """Runs in which each board stood still, by its name."""
+def runs_of(sightings: Iterable[Sighting]) -> dict[str, list[list[Sighting]]]:
+    """Return runs in which each board is in one place, by its name: that it is said to stay in, or as its poses say.
+
+    One sighting elsewhere, between others, does not end a run.
+
+    Args:
+        sightings: of all boards, in the order of time.
+    """
     runs: dict[str, list[list[Sighting]]] = {}
+    said: dict[tuple[str, int], list[Sighting]] = {}
     for one in sightings:
-        of_target = runs.setdefault(one.estimate.target.name, [])
-        if of_target and one.markers is None and _still(of_target[-1][0], one):
-            of_target[-1].append(one)
-        else:
-            of_target.append([one])
+        name = one.estimate.target.name
+        of_board = runs.setdefault(name, [])
+        last = of_board[-2:] if len(of_board) > 1 and len(of_board[-1]) == 1 else of_board[-1:]
+        run = None if one.place is None else said.get((name, one.place))
+        if run is None:
+            run = next((run for run in reversed(last) if _still(run[0], one)), None)
+        if run is None:
+            run = []
+            of_board.append(run)
+        run.append(one)
+        if one.place is not None:
+            said[name, one.place] = run
     return runs
 
 
-def _placed(runs: Mapping[str, Sequence[Sequence[Sighting]]], fewest: int) -> tuple[Placement, ...]:
-    """The placements of runs of so many revolutions at least, in the order of time."""
+def placed(runs: Mapping[str, Sequence[Sequence[Sighting]]], fewest: int = 1) -> tuple[Placement, ...]:
+    """Return the placements of runs, in the order of time.
+
+    Args:
+        runs: of each board, by its name.
+        fewest: revolutions of a placement at least.
+    """
     placements = [
         Placement(tuple(run[k] for k in _spread(len(run))))
-        for of_target in runs.values()
-        for run in of_target
+        for of_board in runs.values()
+        for run in of_board
         if len(run) >= fewest
     ]
     return tuple(sorted(placements, key=lambda placement: placement.moment))
 
 
-def at_rest(placements: Sequence[Placement]) -> tuple[tuple[Placement, ...], list[str]]:
-    """Return the placements whose boards did not move, and the others in words."""
-    kept, moved = [], []
-    for one in placements:
-        distance, probability = _motion(one)
-        if probability >= MOVED:
-            kept.append(one)
-            continue
-        first, last = one.sightings[0].name, one.sightings[-1].name
-        moved.append(
-            f"{one.target.name} from {first} to {last}: it moved by {1e3 * distance:.0f} mm while it should stand still"
-        )
-    return tuple(kept), moved
-
-
-def _motion(placement: Placement) -> tuple[float, float]:
-    """How far a board moves from its first revolution to its last, evenly, metres, and the probability by chance."""
-    moments = np.array([one.moment for one in placement.sightings], float)
-    if len(moments) < 3 or np.ptp(moments) == 0:
-        return 0.0, 1.0
-    since = (moments - moments[0]) / np.ptp(moments)
-    information, pull = np.zeros((6, 6)), np.zeros(6)
-    for s, one in zip(since, placement.sightings, strict=True):
-        T = one.estimate.T_lidar_target
-        J = np.hstack([np.eye(3), s * np.eye(3)])  # by where it is at first, and by its motion
-        weight = np.linalg.inv(T[:3, :3] @ one.estimate.covariance[3:, 3:] @ T[:3, :3].T)
-        information += J.T @ weight @ J
-        pull += J.T @ weight @ T[:3, 3]
-    motion, covariance = np.linalg.solve(information, pull)[3:], np.linalg.inv(information)[3:, 3:]
-    return float(np.linalg.norm(motion)), chi_square_tail(float(motion @ np.linalg.solve(covariance, motion)), 3)
-
-
 def _still(first: Sighting, one: Sighting) -> bool:
-    a, b = first.estimate.T_lidar_target, one.estimate.T_lidar_target
+    if first.markers is not None and one.markers is not None:
+        off = np.linalg.norm(first.markers - one.markers, axis=1)
+        return bool(np.nanmax(off, initial=0.0) < MARKERS_STILL)
     sd = first.estimate.sigma_m + one.estimate.sigma_m, first.estimate.sigma_rad + one.estimate.sigma_rad
-    moved, turned = float(np.linalg.norm(a[:3, 3] - b[:3, 3])), float(angle(a[:3, :3].T @ b[:3, :3]))
+    moved, turned = first.apart(one)
     return moved < STILL[0] + 2 * sd[0] and turned < STILL[1] + 2 * sd[1]
 
 
 def _spread(n: int) -> list[int]:
     return [int(k) for k in np.linspace(0, n - 1, min(n, MOST_REVOLUTIONS)).round()]
-
-
-def one_lidar(session: Session, lidar: str | None, sensor: SensorModel | None) -> tuple[Session, SensorModel]:
-    """Return a session of one of its LiDARs alone, and that LiDAR's sensor.
-
-    Args:
-        session: of any LiDARs.
-        lidar: which one; None: the only one.
-        sensor: that it is; None: as the session has it.
-
-    Raises:
-        InputError: several LiDARs and none named, none of that name, or a sensor of another model.
-    """
-    if lidar is None and len(session.lidars) != 1:
-        raise InputError(f"{session.path}: one LiDAR is calibrated at a time; name one of {', '.join(session.lidars)}")
-    name = next(iter(session.lidars)) if lidar is None else lidar
-    if name not in session.lidars:
-        raise InputError(f"{session.path}: no LiDAR '{name}'; found {', '.join(session.lidars)}")
-    its = session.lidars[name]
-    if sensor is None:
-        sensor = its
-    elif its.n_rings != sensor.n_rings or np.abs(its.elevations - sensor.elevations).max() > ALIKE:
-        raise InputError(f"{session.path}: its sensor '{its.name}' is another model than '{sensor.name}'")
-    views = tuple(view for view in session.views if view.lidar == name)
-    return replace(session, lidars={name: sensor}, views=views), sensor
-
-
-def of_session(
-    session: Session,
-    targets: Sequence[Target],
-    use_target_points: bool,
-    progress: Callable[[int, int], None],
-    kept: Kept,
-) -> tuple[tuple[Placement, ...], list[str]]:
-    """Return the placements of a session's views, and what was left out, in words.
-
-    Args:
-        session: of one LiDAR; with motion capture, whose scans hold the target's returns alone, or with whole scans.
-        targets: to look for; none: those of the session.
-        use_target_points: take the crops by hand instead of looking for the boards.
-        progress: called with the number of scans done, and their total.
-        kept: what was found in a run that was stopped, and is in this one.
-
-    Raises:
-        InputError: a scan or markers that can't be read.
-    """
-    if session.mocap is not None:
-        scans, left_out, _ = load_mocap_scans(session, progress=progress, kept=kept)
-        sightings = [
-            Sighting(k, scan.name, scan.estimate, scan.returns, scan.markers)
-            for k, scan in enumerate(scans)
-            if scan.estimate.status == "ok" and scan.returns is not None
-        ]
-        return gather(sightings), [f"{item.scan}: {item.reason}" for item in left_out]
-    left_out_views: list[str] = []
-    sensor = next(iter(session.lidars.values()))
-
-    def seen() -> Iterator[Sighting]:
-        for k, view in enumerate(session.views):
-            progress(k, len(session.views))
-            wanted = targets or [session.targets[target] for target in view.targets]
-            crop = view.target_points if use_target_points else None
-            scan = read_scan(crop or view.cloud, sensor)
-            of = {"scan": fingerprint([str(crop or view.cloud)]), "crop": crop is not None, "moment": k,
-                  "sensor": sensor, "targets": wanted}  # fmt: skip
-            search = partial(_cropped if crop else _detected, k, scan, wanted)
-            found = kept(tuple[Sighting, ...], of, search)
-            if not found:
-                left_out_views.append(f"{view.cloud.name}: no board found")
-            yield from found
-
-    placements, moved = at_rest(gather(seen()))
-    return placements, left_out_views + moved
-
-
-def of_recording(
-    recording: Recording,
-    topic: str | None,
-    targets: Sequence[Target],
-    sensor: SensorModel,
-    progress: Callable[[int, int], None],
-    kept: Kept,
-) -> tuple[tuple[Placement, ...], list[str]]:
-    """Return the placements of a recording, and what was left out, in words.
-
-    Args:
-        recording: of one LiDAR that stands still, or is moved between placements only.
-        topic: of its scans; None: the only one.
-        targets: to look for.
-        sensor: that made it.
-        progress: called with the number of scans done, and their total.
-        kept: what was found in a run that was stopped, and is in this one.
-    """
-    stream = recording.scans(topic, sensor)
-
-    def seen() -> Iterator[Sighting]:
-        for k, stamped in enumerate(stream):
-            progress(k, stream.expected or k + 1)
-            scan = stamped.value
-            of = {"scan": fingerprint([str(recording.path), scan.name]), "topic": topic, "moment": k, "sensor": sensor,
-                  "targets": targets}  # fmt: skip
-            yield from kept(tuple[Sighting, ...], of, partial(_detected, k, scan, targets))
-
-    runs = _runs(seen())
-    left_out = [str(stream.skipped)] if stream.skipped else []
-    for name, of_target in runs.items():
-        if moving := sum(len(run) for run in of_target if len(run) < FEWEST_STILL):
-            left_out.append(f"{moving} sightings of {name}: it stood still for fewer than {FEWEST_STILL} revolutions")
-    placements, moved = at_rest(_placed(runs, FEWEST_STILL))
-    return placements, left_out + moved
-
-
-def _detected(moment: int, scan: Scan, targets: Sequence[Target]) -> tuple[Sighting, ...]:
-    return tuple(
-        Sighting(moment, scan.name, found.estimate, scan.select(found.indices))
-        for found in detect_targets(scan, targets).found
-        if found.estimate.status == "ok"
-    )
-
-
-def _cropped(moment: int, returns: Scan, targets: Sequence[Target]) -> tuple[Sighting, ...]:
-    for target in targets[:1]:
-        with suppress(EstimationError):
-            estimate = estimate_pose(returns, target)
-            if estimate.status == "ok":
-                return (Sighting(moment, returns.name, estimate, returns),)
-    return ()

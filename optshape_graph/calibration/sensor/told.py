@@ -7,11 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from optshape_graph.calibration.sensor.graph import Joint
 from optshape_graph.calibration.sensor.unknowns import Deviation
 from optshape_graph.factors import AZIMUTH, ELEVATION, RANGE_BIAS
+from optshape_graph.sensor import SensorModel
 
 TOLD = 0.7
 """Share of its prior standard deviation above which a direction counts as held where the file has it."""
+
+MEAN_RANGE = "mean range bias"
+"""Name of the direction in which all rings' ranges are off alike."""
 
 NAMES = {RANGE_BIAS: ("range bias", "m"), ELEVATION: ("elevation", "rad"), AZIMUTH: ("azimuth", "rad")}
 
@@ -45,8 +50,8 @@ def directions(deviations: Mapping[str, Deviation]) -> tuple[Direction, ...]:
         deviations: of each kind.
     """
     found = []
-    for kind, (what, unit) in NAMES.items():
-        of, seen = deviations[kind], deviations[kind].seen
+    for kind, of in deviations.items():
+        (what, unit), seen = NAMES[kind], of.seen
         if seen.sum() < 3:
             continue
         fit = np.linalg.pinv(np.column_stack([np.ones(seen.sum()), of.trend[seen] - of.trend[seen].mean()]))
@@ -54,6 +59,17 @@ def directions(deviations: Mapping[str, Deviation]) -> tuple[Direction, ...]:
             sd, prior_sd = (float(np.sqrt(w @ every[np.ix_(seen, seen)] @ w)) for every in (of.covariance, of.prior))
             found.append(Direction(name, unit, sd, prior_sd))
     return tuple(found)
+
+
+def mean_range_is_told(joint: Joint, sensor: SensorModel) -> bool:
+    """Return whether a solution knows the rings' mean range better than the file leaves it open.
+
+    Args:
+        joint: the solution.
+        sensor: the file that was its prior.
+    """
+    of = Deviation.of(sensor, RANGE_BIAS, joint.errors, joint.beta, joint.covariance)
+    return any(one.name == MEAN_RANGE and one.told for one in directions({RANGE_BIAS: of}))
 
 
 def silent_rings(deviations: Iterable[Deviation]) -> tuple[int, ...]:

@@ -10,7 +10,7 @@ range bias common to all rings.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -168,3 +168,14 @@ def prior_sds(sensor: SensorModel, kind: str) -> tuple[Floats, float, float]:
         ELEVATION: (sensor.elevation_sds, sensor.common_elevation_sd, sensor.elevation_trend_sd),
         AZIMUTH: (sensor.azimuth_sds, sensor.common_azimuth_sd, sensor.azimuth_trend_sd),
     }[kind]
+
+
+def with_mean_range_open(sensor: SensorModel) -> SensorModel:
+    """Return a sensor's file that leaves open what all rings' ranges have in common: as much as each ring's own.
+
+    Rings' own errors alone, one independent of the other, would say their mean to a sixth of that.
+
+    Args:
+        sensor: as its file has it.
+    """
+    return replace(sensor, common_range_sd=max(sensor.common_range_sd, float(np.median(sensor.range_bias_sds))))

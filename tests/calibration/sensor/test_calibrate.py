@@ -14,7 +14,9 @@ from optshape_graph import EstimationError, InputError, SensorCalibration
 from optshape_graph.calibration.sensor import Distance, Sighting, calibrate_placements, gather
 from optshape_graph.calibration.sensor.graph import solve
 from optshape_graph.calibration.sensor.known import distance_factor, known_beside
-from optshape_graph.calibration.sensor.placements import at_rest
+from optshape_graph.calibration.sensor.placements import placed as of_runs
+from optshape_graph.calibration.sensor.placements import runs_of
+from optshape_graph.calibration.sensor.rest import at_rest
 from optshape_graph.calibration.sensor.seen import Seen
 from optshape_graph.io import load_sensor, load_target, save_sensor
 from optshape_graph.pose import estimate_pose
@@ -167,7 +169,7 @@ def test_boards_that_stand_still_are_one_placement(seen: list[Sighting]) -> None
     still = [replace(seen[0], moment=k) for k in range(12)]
     placements = gather([*still, *(replace(one, moment=20) for one in seen[3:4])])
     assert [len(one.sightings) for one in placements] == [8, 1]
-    assert gather(still[:3], fewest=4) == ()
+    assert of_runs(runs_of(still[:3]), fewest=4) == ()
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.008])
