@@ -28,6 +28,8 @@ _FUNCTIONS = {
     "firings_log_likelihood": "pipp",
     "rays_log_likelihood": "pippp",
     "differences": "iippp",
+    "nearest_minima": "ipppip",
+    "segment_starts": "ipppdddddp",
 }
 """Kinds of the functions' arguments: pointers, whole numbers, numbers. All return a whole number."""
 

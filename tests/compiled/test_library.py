@@ -13,10 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from optshape_graph import compiled, se3
+from optshape_graph import compiled, factors, se3
 from optshape_graph._arrays import Floats
 from optshape_graph.compiled import build, library
-from optshape_graph.io import load_target
+from optshape_graph.detection import DetectionOptions, segments
+from optshape_graph.detection.segments import order_scan
+from optshape_graph.factors.measurement import TemplateMeasurement, refine_all
+from optshape_graph.io import load_sensor, load_target
 from optshape_graph.pose import association
 from optshape_graph.pose.ends import Posterior, candidates, ring_ends, work_out
 from optshape_graph.pose.evidence import Evidence, ends_of, measure
@@ -25,8 +28,9 @@ from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.sampling import Components, firings, mixture, rays
 from optshape_graph.pose.sampling.mixture import Draws
 from optshape_graph.se3 import exp, inverse, quaternion
-from optshape_graph.simulation import NoiseModel
+from optshape_graph.simulation import NoiseModel, pose_from_rpy
 from optshape_graph.simulation.reference import reference_sensor
+from tests.detection.scenes import scan_of
 from tests.pose.clouds import simulated
 from tests.statistics.groups import GROUPS, draw
 
@@ -194,3 +198,34 @@ def test_tangent_vectors_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch) -> 
         np.testing.assert_allclose(one, xi, atol=1e-8)
         np.testing.assert_allclose(one[2:], xi[2:], atol=1e-12)
     np.testing.assert_allclose(se3.difference(A[0], A[0] @ exp(xi))[2:], found[0][2:], atol=1e-12)
+
+
+@needs_library
+def test_minima_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of full measurements and of ones that leave directions open, from near and from far."""
+    rng = np.random.default_rng(7)
+    measurements, starts = [], []
+    for k, T in enumerate(exp(rng.normal(size=(60, 6)))):
+        rows = rng.normal(size=(12 if k % 3 else 5, 12))
+        constants = 1e-3 * rng.normal(size=len(rows)) - rows @ se3.vec(T)
+        measurements.append(TemplateMeasurement.from_rows(rows, constants, T))
+        starts.append(T @ exp(rng.normal(size=6) * (0.01, 0.3)[k % 2]))
+    found = refine_all(measurements, np.array(starts))
+    monkeypatch.setattr(factors.measurement, "library", lambda: None)
+    reference = refine_all(measurements, np.array(starts))
+    full = np.arange(60) % 3 > 0
+    np.testing.assert_allclose(found[full], reference[full], atol=1e-7)
+    for one, a, b in zip(measurements, found, reference, strict=True):  # where it is flat, any point of the minimum
+        assert one.error(a) == pytest.approx(one.error(b), rel=1e-6, abs=1e-12)
+
+
+@needs_library
+def test_segments_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    for sensor in ("vlp16", "os1-64"):
+        pose = pose_from_rpy([6.0, 0.5, 0.0], [0.1, -0.4, 0.3])
+        scan = scan_of(load_sensor(sensor), [(load_target("paper"), pose)]).scan
+        found = order_scan(scan, DetectionOptions())
+        monkeypatch.setattr(segments, "library", lambda: None)
+        np.testing.assert_array_equal(found.first, order_scan(scan, DetectionOptions()).first)
+        monkeypatch.undo()
+        assert len(found.first) > 16
