@@ -80,14 +80,14 @@ def outermost_return(step: Floats) -> tuple[Floats, Floats]:
     Returns:
         How much further out it lies, in beam widths, and its scatter over that of a single ray, each (...).
     """
-    steps, shift, share = _outermost()
+    steps, shift, share = outermost_table()
     step = np.maximum(step, FINEST_STEP)
     return np.interp(step, steps, shift), np.interp(step, steps, share)
 
 
 @cache
-def _outermost() -> tuple[Floats, Floats, Floats]:
-    """Return the table behind `outermost_return`, by step.
+def outermost_table() -> tuple[Floats, Floats, Floats]:
+    """Return the table of `outermost_return`, in its units: steps, how much further out, and scatter, each (8,).
 
     Rays a step apart, in any phase, each return with a probability that falls from 1 to 0 over the beam's width. The
     shift and the scatter by the phase itself are subtracted.
@@ -99,7 +99,7 @@ def _outermost() -> tuple[Floats, Floats, Floats]:
         place = step * (phase[:, None] + np.arange(-np.ceil(1.5 / step), np.ceil(0.5 / step) + 1))
         returns = np.clip(0.5 - place, 0.0, 1.0)
         # The outermost lies before x where no ray beyond x returns.
-        before = np.array([np.where(place > at, 1.0 - returns, 1.0).prod(axis=1).mean() for at in x])
+        before = np.where(place > x[:, None, None], 1.0 - returns, 1.0).prod(axis=2).mean(axis=1)
         middle, mass = 0.5 * (x[1:] + x[:-1]), np.diff(before)
         mean = mass @ middle / mass.sum()
         variance = mass @ middle**2 / mass.sum() - mean**2

@@ -199,13 +199,18 @@ def rings_missing(scan: Scan) -> InputError:
     )
 
 
+def elevations_of(points: Floats) -> Floats:
+    """Return the elevations (N,), rad, of points (N, 3), metres, LiDAR frame."""
+    x, y, z = points.T
+    return np.asarray(np.arctan2(z, np.hypot(x, y)))
+
+
 def rings_from_the_top(scan: Scan) -> str:
     """Return what shows that a scan's ring numbers fall with elevation; "" where they rise, or there are none."""
     if scan.ring is None or len(scan) == 0:
         return ""
     low, high = int(scan.ring.min()), int(scan.ring.max())
-    elevation = np.arctan2(scan.points[:, 2], np.hypot(scan.points[:, 0], scan.points[:, 1]))
-    of_low, of_high = elevation[scan.ring == low], elevation[scan.ring == high]
+    of_low, of_high = (elevations_of(scan.points[scan.ring == one]) for one in (low, high))
     lowest, highest = float(np.mean(of_low)), float(np.mean(of_high))
     error = float(np.sqrt(np.var(of_low) / len(of_low) + np.var(of_high) / len(of_high)))
     if highest > lowest - LEVEL - 4.0 * error:
