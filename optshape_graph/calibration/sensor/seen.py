@@ -54,6 +54,10 @@ BENDS = 3
 LONG = 8
 """Returns of a ring from which on they are."""
 
+WAVY = 1.5
+"""Ratio of what rings are bent by to the noise within them from which it is not chance, and weighs their returns: with
+noise alone it scatters by a tenth, and is 1."""
+
 ODD = 3.5
 """Standard deviations from where ring ends may be, lost returns included, beyond which an end counts for nothing."""
 
@@ -115,13 +119,17 @@ class Seen(Value):
             raise found
         usual, factor = found.residuals.usual, float((found.residuals.noise / found.residuals.file_noise)[0])
         assert found.scan.ring is not None
+        rest = found.residuals.rest[usual]
+        smooth = _smooth(rest, found.scan.ring[usual])
+        if smooth > WAVY * found.residuals.noise[0]:
+            factor = smooth / float(found.residuals.file_noise[0])
         returns = found.returns.widened(factor, 1.0).select(usual)
         returns = returns.with_angles(found.plane.axes[0], found.scan.ring[usual], found.scan.sensor)
         yz = (returns.points @ T_target_lidar[:3, :3].T + T_target_lidar[:3, 3])[:, 1:]
         bent = -bow(target, yz) / returns.sigma[:, None]
         returns = returns.sharing(board_errors(target)[1:], bent)
         problem = found.problem
-        rest, counts = found.residuals.rest[usual], len(np.unique(found.scan.ring[usual]))
+        counts = len(np.unique(found.scan.ring[usual]))
         noise = 1.4826 * float(np.median(np.abs(rest))) * np.sqrt(len(rest) / max(len(rest) - counts - 5, 1))
         cosine = float(
             np.abs(found.plane.axes[0] @ scan.points.mean(axis=0)) / np.linalg.norm(scan.points.mean(axis=0))
@@ -129,7 +137,6 @@ class Seen(Value):
         g = problem.geometry(T_target_lidar[None])
         precision = 1.0 / (_own(g) + g.along[0] ** 2 * problem.edges.width**2 / 12)
         information = -precision * problem.edges.middle * g.along[0]
-        smooth = _smooth(rest, found.scan.ring[usual])
         return cls(
             found.scan, target, placement, problem, plane_measurement(returns), returns, found.scan.ring[usual],
             noise / cosine, smooth / cosine, g.labels[0], np.zeros(len(precision), dtype=bool), precision, information,

@@ -263,8 +263,9 @@ def test_noise_is_lowered_as_far_as_rings_are_straight(unit: Unit, seen: list[Si
         away = scan.points / np.linalg.norm(scan.points, axis=1, keepdims=True)
         wavy = replace(scan, points=scan.points + wave[:, None] * away, sensor=given)
         views.append(Seen.of(wavy, one.estimate.target, 0, one.estimate.T_target_lidar))
-    sampled = sampling(views, 16)
+    sampled, weighed = sampling(views, 16), np.median([one.returns.sigma.mean() for one in views])
     assert sampled.smooth_noise is not None
+    assert (weighed > 0.03) == (bent > 0)
     if bent:
         assert sampled.smooth_noise > 0.03
         assert sampled.noise_over(0.02) == pytest.approx(0.02, abs=0.004)
