@@ -9,6 +9,7 @@
 # make docs           the documentation, as a site in build/site
 # make release-check  wheel and sdist, the wheel tried in a fresh environment of every Python in PYTHONS
 #
+# make compiled       the compiled library, where there is a C compiler; every target that sets up tests does it, too
 # make lock           write down the versions that the tests run with: .ci/constraints.txt, docs/licences.md
 # make latest         the tests with the newest versions there are, upper bounds left out: to be run now and then
 # make sbom           what is in the environment, as CycloneDX: build/sbom.json
@@ -34,7 +35,7 @@ PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reor
 # Folders of tests that need no process of their own.
 QUICK := $(wildcard tests/test_*.py) $(addprefix tests/,factors graph io pose design runs docs/test_docstrings.py cli/test_lazy.py)
 
-.PHONY: demo check test faults bench leaderboard notebooks coverage docs release-check lock latest sbom
+.PHONY: demo check test compiled faults bench leaderboard notebooks coverage docs release-check lock latest sbom
 
 demo: setup-plot
 	$(BIN)/optshape demo
@@ -93,5 +94,8 @@ sbom: setup-test setup-supply
 	mkdir -p build
 	$(BIN)/cyclonedx-py environment --output-reproducible --of JSON -o build/sbom.json $(BIN)/python
 
+compiled: setup-test
+
 setup-%:
 	@.ci/setup $(VENV) $* $(PYTHON)
+	@$(BIN)/python optshape_graph/compiled/build.py

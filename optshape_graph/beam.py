@@ -80,14 +80,14 @@ def outermost_return(step: Floats) -> tuple[Floats, Floats]:
     Returns:
         How much further out it lies, in beam widths, and its scatter over that of a single ray, each (...).
     """
-    steps, shift, share = _outermost()
+    steps, shift, share = outermost_table()
     step = np.maximum(step, FINEST_STEP)
     return np.interp(step, steps, shift), np.interp(step, steps, share)
 
 
 @cache
-def _outermost() -> tuple[Floats, Floats, Floats]:
-    """Return the table behind `outermost_return`, by step.
+def outermost_table() -> tuple[Floats, Floats, Floats]:
+    """Return the table of `outermost_return`, in its units: steps, how much further out, and scatter, each (8,).
 
     Rays a step apart, in any phase, each return with a probability that falls from 1 to 0 over the beam's width. The
     shift and the scatter by the phase itself are subtracted.

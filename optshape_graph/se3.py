@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Floats, frozen
+from optshape_graph.compiled import address, library
 from optshape_graph.errors import InputError
 
 RIGID = 1e-6
@@ -141,13 +142,8 @@ def turns_between(A: Floats, quaternions: Floats) -> tuple[Floats, Floats]:
     Returns:
         The rotation vectors; and (N, M) their angles over the sines of half of them, 2 where nothing is turned.
     """
-    conjugate = quaternion(A[:, :3, :3]) * [1.0, -1.0, -1.0, -1.0]
-    w, v = conjugate[:, :1, None], conjugate[:, 1:]
-    left = np.zeros((len(A), 4, 4))  # the product of quaternions as a matrix
-    left[:, :1, :1], left[:, 0, 1:], left[:, 1:, 0] = w, -v, v
-    left[:, 1:, 1:] = w * _UNIT + skew(v)
     count, equivalent = quaternions.shape[:2]
-    q = left @ np.ascontiguousarray(quaternions.reshape(-1, 4).T)
+    q = quaternions_from(A) @ np.ascontiguousarray(quaternions.reshape(-1, 4).T)
     if equivalent > 1:
         q = q.reshape(len(A), 4, count, equivalent)
         nearest = np.abs(q[:, 0]).argmax(axis=-1)
@@ -156,6 +152,16 @@ def turns_between(A: Floats, quaternions: Floats) -> tuple[Floats, Floats]:
     turn = 2.0 * np.arctan2(sine, np.abs(q[:, 0]))
     per_sine = np.divide(turn, sine, out=np.full_like(sine, 2.0), where=sine > 1e-150)
     return q[:, 1:] * np.where(q[:, 0] < 0, -per_sine, per_sine)[:, None], per_sine
+
+
+def quaternions_from(A: Floats) -> Floats:
+    """Return matrices (N, 4, 4) that multiply a rotation's quaternion to that from each transform (N, 4, 4) to it."""
+    conjugate = quaternion(A[:, :3, :3]) * [1.0, -1.0, -1.0, -1.0]
+    w, v = conjugate[:, :1, None], conjugate[:, 1:]
+    left = np.zeros((len(A), 4, 4))
+    left[:, :1, :1], left[:, 0, 1:], left[:, 1:, 0] = w, -v, v
+    left[:, 1:, 1:] = w * _UNIT + skew(v)
+    return left
 
 
 def angle(T: Floats) -> Floats:
@@ -181,7 +187,13 @@ def log(T: Floats) -> Floats:
 
 def difference(A: Floats, B: Floats) -> Floats:
     """Return xi (..., 6) with B = A Exp(xi), rotation first, of transforms (..., 4, 4)."""
-    return log(inverse(A) @ B)
+    functions = library()
+    if functions is None or (A.ndim > 2 and A.shape != B.shape):
+        return log(inverse(A) @ B)
+    a, b = (np.ascontiguousarray(T, dtype=np.float64) for T in (A, B))
+    xi = np.empty((*b.shape[:-2], 6))
+    functions.differences(xi.size // 6, A.ndim > 2, address(a), address(b), address(xi))
+    return xi
 
 
 def adjoint(T: Floats) -> Floats:

@@ -54,6 +54,12 @@ def test_imports_point_down(layer: str) -> None:
             assert len(parts) < 2 or parts[1] not in above, f"{path.relative_to(PACKAGE)} imports {name}"
 
 
+def test_what_is_compiled_knows_arrays_alone() -> None:
+    """Nouns use it, too."""
+    for path in (PACKAGE / "compiled").glob("*.py"):
+        assert imported(path) <= {"optshape_graph._arrays", "optshape_graph.compiled.build"}
+
+
 def test_factors_know_nothing_but_the_nouns() -> None:
     for path in (PACKAGE / "factors").glob("*.py"):
         for name in imported(path):

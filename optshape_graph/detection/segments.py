@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph.compiled import address, library
 from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.edges import azimuth_spacing
 from optshape_graph.errors import EstimationError
@@ -195,7 +196,14 @@ def _starts(ring: Ints, azimuth: Floats, ranges: Floats, resolution: Resolution,
     of the noise apart at any incidence, which a bound on the jump itself cannot. With fewer than three returns on a
     side, the jump decides.
     """
-    n, steepest = len(ring), np.tan(options.steepest)
+    n, steepest = len(ring), float(np.tan(options.steepest))
+    functions = library()
+    if functions is not None:
+        starts, arrays = np.empty(n, dtype=np.bool_), [np.ascontiguousarray(one) for one in (ring, azimuth, ranges)]
+        limits = resolution.step, options.longest_gap, steepest, resolution.range_noise, options.jump_sigmas
+        if functions.segment_starts(n, *map(address, arrays), *limits, address(starts)):
+            raise MemoryError
+        return starts
     gap, jump = np.diff(azimuth, prepend=azimuth[:1]), np.diff(ranges, prepend=ranges[:1])
     apart = (np.diff(ring, prepend=ring[:1] - 1) != 0) | (gap > options.longest_gap * resolution.step)
     run = np.cumsum(apart)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optshape_graph._arrays import Bools, Floats, Value, frozen
+from optshape_graph.compiled import address, library
 from optshape_graph.errors import InputError
 from optshape_graph.factors._rows import checked, in_plane, marginalised, outer_rows, root, triangular
 from optshape_graph.se3 import PoseLike, as_matrix, inverse, rotation, transform, vec, vec_derivative
@@ -262,6 +263,12 @@ def refine_all(measurements: Sequence[TemplateMeasurement], starts: Floats, iter
     Gauss-Newton steps on the compressed rows, with Levenberg's damping where they do not lead down.
     """
     T, L, b = starts, np.stack([one.L for one in measurements]), np.stack([one.b for one in measurements])
+    functions = library()
+    if functions is not None:
+        found = np.empty((len(L), 4, 4))
+        arrays = [np.ascontiguousarray(one, dtype=np.float64) for one in (L, b, starts)]
+        functions.nearest_minima(len(L), *map(address, arrays), iterations, address(found))
+        return found
     residual, damping = _residuals(L, b, T), np.full(len(starts), 1e-12)
     error = np.vecdot(residual, residual)
     for _ in range(iterations):

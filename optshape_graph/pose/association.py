@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optshape_graph._arrays import Bools, Floats, Ints
+from optshape_graph.compiled import address, library, structure
 from optshape_graph.edges import EdgePoints
 from optshape_graph.plane import ReturnsPlane
 from optshape_graph.target import Target
@@ -28,6 +29,10 @@ _AT[_PAIRS] = _AT.T[_PAIRS] = np.arange(15)
 _REST = [0, 1, 4]  # what multiplies cosine, sine and -1
 _REFINED = 400  # labellings whose angle is refined from the grid's
 _SECTOR = 2  # grid steps between the directions in which a rival is looked for
+_NEAR, _FAR = (
+    (float(np.radians(1.5)), 0.01),
+    (float(np.radians(15.0)), 0.3),
+)  # turns, rad, and moves, radii, that differ
 _AT_ONCE = 8  # scans whose labellings are worked on at once: arrays stay in cache
 
 Complexes = NDArray[np.complex128]
@@ -111,12 +116,11 @@ def enumerate_poses(
         alike.setdefault((len(target), len(rings)), []).append(k)
     found: dict[int, Floats] = {}
     for (n_edges, n_rings), scans in alike.items():
-        _, indicators = enumerate_labellings(n_edges, n_rings)
         for first in range(0, len(scans), _AT_ONCE):
             some = scans[first : first + _AT_ONCE]
             products = np.stack([_products(edges[k], planes[k], targets[k], picked[k]) for k in some])
             size = np.array([targets[k].circumradius for k in some])
-            for k, (angle, t) in zip(some, _best_different(indicators @ products, 2 * n_rings, size), strict=True):
+            for k, (angle, t) in zip(some, _best_poses(products, n_edges, n_rings, size), strict=True):
                 found[k] = planes[k].poses(angle, t)
     return [found[k] for k in range(len(edges))]
 
@@ -139,6 +143,29 @@ def _products(edges: EdgePoints, plane: ReturnsPlane, target: Target, picked: In
         n[:, 0], n[:, 1], target.offsets,
     ))  # fmt: skip
     return np.asarray((columns[_PAIRS[0]] * columns[_PAIRS[1]]).reshape(15, -1).T)
+
+
+def _best_poses(products: Floats, n_edges: int, n_rings: int, size: Floats) -> list[tuple[Floats, Floats]]:
+    """Angles and shifts in the plane of the best labellings that differ, in each of B scans.
+
+    Args:
+        products: (B, 2 P n, 15) see `_products`.
+        n_edges: n.
+        n_rings: P.
+        size: (B,) radius of each target, metres.
+    """
+    labels, indicators = enumerate_labellings(n_edges, n_rings)
+    compiled = library()
+    if compiled is None:
+        return _best_different(indicators @ products, 2 * n_rings, size)
+    search = structure(_REFINED, _SECTOR, *_NEAR, NEAR, *_FAR, FAR)
+    best = []
+    for of_scan, radius in zip(np.ascontiguousarray(products), size.tolist(), strict=True):
+        angle, t = np.empty(NEAR + FAR), np.empty((NEAR + FAR, 2))
+        arrays = (address(labels), address(of_scan), radius, address(angle), address(t))
+        count = compiled.best_poses(address(search), *labels.shape, n_edges, *arrays)
+        best.append((angle[:count], t[:count]))
+    return best
 
 
 def _best_different(sums: Floats, count: int, size: Floats) -> list[tuple[Floats, Floats]]:
@@ -167,8 +194,7 @@ def _best_different(sums: Floats, count: int, size: Floats) -> list[tuple[Floats
     scan = np.arange(len(sums))[:, None]
     t = np.stack([-np.vecdot(part[scan, which], x) for part in K], axis=-1)
     place = (t[..., 0] + 1j * t[..., 1]) / size[:, None]
-    near = _first_different(angle, place, np.radians(1.5), 0.01, NEAR)
-    far = _first_different(angle, place, np.radians(15.0), 0.3, FAR)
+    near, far = _first_different(angle, place, *_NEAR, NEAR), _first_different(angle, place, *_FAR, FAR)
     return [(a[chosen], b[chosen]) for a, b, chosen in zip(angle, t, near | far, strict=True)]
 
 

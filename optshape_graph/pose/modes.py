@@ -295,11 +295,12 @@ def same_mode(T: Floats, first: Floats, target: Target) -> Bools:
 
 def _within(T: Floats, first: Floats, limits: tuple[float, float], symmetries: Floats, size: float) -> Bools:
     """(S,) whether poses, or their equivalents, are turned and moved by less than limits, rad and sizes."""
-    turned = first[:3, :3].T @ T[:, :3, :3]
+    equivalent = first[:3, :3] @ np.swapaxes(symmetries[:, :3, :3], 1, 2)
     # The trace of a rotation by x is 1 + 2 cos x.
-    trace = np.einsum("sij,kji->sk", turned, symmetries[:, :3, :3]).max(axis=1)
-    moved = np.linalg.norm(T[:, :3, 3] - first[:3, 3], axis=1)
-    return np.asarray((trace > 1.0 + 2.0 * np.cos(limits[0])) & (moved < limits[1] * size))
+    trace = (T[:, :3, :3].reshape(-1, 9) @ equivalent.reshape(-1, 9).T).max(axis=1)
+    moved = T[:, :3, 3] - first[:3, 3]
+    near = np.vecdot(moved, moved) < (limits[1] * size) ** 2
+    return np.asarray((trace > 1.0 + 2.0 * np.cos(limits[0])) & near)
 
 
 def _apart(candidates: Posterior, target: Target) -> list[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import email
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tarfile
@@ -44,9 +45,14 @@ def test_wheel_holds_the_package_and_its_data(dist: Path) -> None:
     expected = {
         str(path.relative_to(ROOT))
         for path in package.rglob("*")
-        if path.is_file() and "__pycache__" not in path.parts and path.suffix != ".pyc"
+        if path.is_file() and "__pycache__" not in path.parts and path.suffix not in (".pyc", ".so")
     }
-    assert packed == expected
+    library = "optshape_graph/compiled/library.so"
+    assert packed - {library} == expected
+    # With a compiler the wheel has the library, for one platform; without, it is for all.
+    compiled = shutil.which("cc") is not None
+    assert (library in packed) == compiled
+    assert wheel(dist).stem.endswith("-py3-none-any") != compiled
     assert {"optshape_graph/py.typed", "optshape_graph/factors/__init__.py"} <= packed
 
 

@@ -18,128 +18,29 @@ Evidence that the posterior leaves out is free: where the rings that returned no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from optshape_graph._arrays import Floats, Ints, Value
+from optshape_graph._arrays import Floats, Value
 from optshape_graph.chords import chords, sight_planes
 from optshape_graph.gaussian import log_ndtr, mixture_moments
-from optshape_graph.pose.ends.ring_ends import EdgeGeometry, Padding, RingEnds
+from optshape_graph.pose.ends.posterior import Posterior
+from optshape_graph.pose.ends.ring_ends import EdgeGeometry, RingEnds
 from optshape_graph.se3 import cross, exp, vec, vec_derivative
 
-_WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])
+WEAK_PRIOR = np.diag([0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-4])
 """Information of the pose before any measurement (3 rad, 100 m): keeps an unobservable pose finite."""
 
 INWARDS, GRAZING = 20.0, 0.2
 """Logarithm by which it is less likely that a ring ends at an edge that it crosses inwards, if it does so by a fifth of
 a beam from ray to ray or more; where it runs along the edge, by as much less."""
 
-_LARGEST_STEP = 0.15
+LARGEST_STEP = 0.15
 """Rotation by which a pose moves at most, rad."""
 
 DAMPING = 0.8
 """Share of each update of an edge point that is taken."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Posterior(Value):
-    """Gaussian posteriors about C poses.
-
-    Attributes:
-        T_target_lidar: (C, 4, 4).
-        covariance: (C, 6, 6) of the right perturbation of T_target_lidar, rotation first.
-        joint: (C, 7, 7) of that and the offset, in beam widths.
-        offset: (C,) common offset across the edges, in units of the beam's width; positive: the returns lie further in.
-        geometry: edge points at these poses.
-        inset: (C, M) distance along the ring from each edge point to the boundary, rad, offset and shift apart.
-        shift: (C, M) outward motion of each edge point with its ring, where azimuths are noisy, and by blooming, rad.
-        sigma: (C, M) standard deviation across the edge, metres, that stands for each interval.
-        log_likelihood: (C,) logarithm of the probability of the edge points, and of what else of the scan was taken
-            into account, up to a constant of the scan.
-    """
-
-    T_target_lidar: Floats
-    covariance: Floats
-    joint: Floats
-    offset: Floats
-    geometry: EdgeGeometry
-    inset: Floats
-    shift: Floats
-    sigma: Floats
-    log_likelihood: Floats
-
-    def select(self, index: Ints | slice, ends: int | None = None) -> Posterior:
-        """Return some of the posteriors, of some of the edge points.
-
-        Args:
-            index: a slice of the posteriors, or (K,).
-            ends: number of edge points, where those after are padding; None: all.
-        """
-        return _made(lambda values: values[0][index, :ends], lambda values: values[0][index], [self])
-
-
-def concatenate(posteriors: Sequence[Posterior]) -> Posterior:
-    """Return the posteriors of all, padded to as many edge points."""
-    if len(posteriors) == 1:
-        return posteriors[0]
-    padding = Padding.of([one.inset.shape[1] for one in posteriors for _ in one.inset])
-
-    def of_ends(values: Sequence[Floats]) -> Floats:
-        return padding.padded([value.reshape(-1, *value.shape[2:]) for value in values])
-
-    return _made(np.concatenate if padding.there.all() else of_ends, np.concatenate, posteriors)
-
-
-_OF_ENDS = ("inset", "shift", "sigma")
-_Make = Callable[[Sequence[Floats]], Floats]
-
-
-def _made(of_ends: _Make, of_poses: _Make, posteriors: Sequence[Posterior]) -> Posterior:
-    """Make each array of a posterior of the same arrays of some others, those of edge points (C, M, ...) in one way."""
-
-    def arrays(names: Iterable[str], records: Sequence[Any], make: _Make) -> dict[str, Any]:
-        return {name: make([getattr(record, name) for record in records]) for name in names}
-
-    names = [name for name in vars(posteriors[0]) if name not in (*_OF_ENDS, "geometry")]
-    geometries = [posterior.geometry for posterior in posteriors]
-    return Posterior(
-        geometry=EdgeGeometry(**arrays(vars(geometries[0]), geometries, of_ends)),
-        **arrays(_OF_ENDS, posteriors, of_ends),
-        **arrays(names, posteriors, of_poses),
-    )
-
-
-def work_out(ends: RingEnds, scan: Ints, T: Floats, labels: Ints | None, sweeps: int) -> tuple[Ints, Posterior]:
-    """Find the posterior about each of some poses, each association of a scan once, as first listed.
-
-    Args:
-        ends: of B scans.
-        scan: (C,) that each pose is of, ascending.
-        T: (C, 4, 4) T_target_lidar to start from.
-        labels: (C, M) edge of each ring end; None, and -1: as `RingEnds.geometry` finds them.
-        sweeps: of expectation propagation.
-
-    Returns:
-        The scan (K,) of each posterior, and the posteriors.
-    """
-    geometry = ends.take(scan).geometry(T, labels)
-    once = firsts(scan, geometry.labels)
-    scan, ends = scan[once], ends.take(scan[once])
-    posterior = propagate(ends, T[once], geometry.select(once), sweeps)
-    # What the posteriors leave out.
-    score = posterior.log_likelihood + exit_probability(ends, posterior) + missed_rings(ends, posterior)
-    return scan, replace(posterior, log_likelihood=np.where(np.isfinite(score), score, -np.inf))
-
-
-def firsts(scan: Ints, labels: Ints) -> Ints:
-    """Indices (K,) at which each association, labels (C, M) in scans (C,), is listed first."""
-    found: dict[tuple[int, bytes], int] = {}
-    for k, (of, mine) in enumerate(zip(scan.tolist(), labels, strict=True)):
-        found.setdefault((of, mine.tobytes()), k)
-    return np.array(list(found.values()))
 
 
 def propagate(ends: RingEnds, T: Floats, geometry: EdgeGeometry, sweeps: int) -> Posterior:
@@ -156,7 +57,7 @@ def propagate(ends: RingEnds, T: Floats, geometry: EdgeGeometry, sweeps: int) ->
     J = np.concatenate(columns, axis=-1)
     D, z = vec_derivative(T), vec(T)
     precision0 = np.zeros((len(T), J.shape[-1], J.shape[-1])) + np.eye(J.shape[-1])
-    precision0[:, :6, :6] = np.swapaxes(D, 1, 2) @ ends.plane[:, :12, :12] @ D + _WEAK_PRIOR
+    precision0[:, :6, :6] = np.swapaxes(D, 1, 2) @ ends.plane[:, :12, :12] @ D + WEAK_PRIOR
     precision0[:, 6, 6] = 1.0 / ends.offset_sd**2
     shift0 = np.zeros(precision0.shape[:2])
     gradient = (z[:, None] @ ends.plane[:, :12, :12])[:, 0] + ends.plane[:, 12, :12]
@@ -170,7 +71,7 @@ def propagate(ends: RingEnds, T: Floats, geometry: EdgeGeometry, sweeps: int) ->
     by_turn = step.mean[:, :6]
     largest = np.abs(by_turn[:, :3]).max(axis=1, initial=0.0)
     return Posterior(
-        T_target_lidar=T @ exp(by_turn * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))[:, None]),
+        T_target_lidar=T @ exp(by_turn * np.minimum(1.0, LARGEST_STEP / np.maximum(largest, 1e-12))[:, None]),
         covariance=np.asarray(step.covariance[:, :6, :6]),
         joint=np.asarray(step.covariance[:, :7, :7]),
         offset=step.mean[:, 6],
@@ -332,6 +233,12 @@ def residual_intervals(geometry: EdgeGeometry, ends: RingEnds) -> tuple[Floats, 
     return lower, upper, log_density
 
 
+def with_what_is_left_out(ends: RingEnds, posterior: Posterior) -> Posterior:
+    """Add to posteriors' log likelihoods what else of each scan is taken into account."""
+    score = posterior.log_likelihood + exit_probability(ends, posterior) + missed_rings(ends, posterior)
+    return replace(posterior, log_likelihood=np.where(np.isfinite(score), score, -np.inf))
+
+
 def missed_rings(ends: RingEnds, posterior: Posterior) -> Floats:
     """Logarithm of the probability (C,) that the rings without returns return nothing.
 
@@ -382,24 +289,3 @@ def exit_probability(ends: RingEnds, posterior: Posterior) -> Floats:
     inside = log_ndtr(-np.take_along_axis(beyond, worst[..., None], axis=-1)[..., 0] / np.sqrt(variance))
     least = np.log(0.1 * ends.lost_ends)[:, None]
     return np.asarray((ends.there * np.maximum(inside, least)).sum(axis=1))
-
-
-def alternative_labels(ends: RingEnds, posterior: Posterior, limit: int) -> list[Ints]:
-    """Labels (V, M) of the associations that differ from a posterior's in one edge point near a vertex, for each of C.
-
-    Args:
-        ends: of the scan that each pose is of, or of the one that all are of.
-        posterior: of C poses.
-        limit: at most so many, those nearest to a vertex.
-    """
-    beyond, _ = other_edges(ends, posterior)
-    nearest = beyond.argmax(axis=-1)
-    reach = 0.5 * (np.abs(posterior.geometry.along) * ends.width + posterior.geometry.across)
-    closeness = np.where(ends.there, -beyond.max(axis=-1) / (posterior.sigma + reach), np.inf)
-    found = []
-    for k, order in enumerate(np.argsort(closeness, axis=-1)[:, :limit]):
-        order = order[closeness[k, order] < 1.0]
-        labels = np.repeat(posterior.geometry.labels[k : k + 1], len(order), axis=0)
-        labels[np.arange(len(order)), order] = nearest[k, order]
-        found.append(labels)
-    return found

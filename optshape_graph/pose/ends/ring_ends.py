@@ -8,13 +8,17 @@ what is like something that is there and makes no trouble; `there` and `silent` 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from ctypes import CDLL
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
-from optshape_graph.beam import Beam, outermost_return
+from optshape_graph.beam import Beam, outermost_return, outermost_table
+from optshape_graph.compiled import address, library, structure
 from optshape_graph.edges import UP, EdgePoints, leftward, upward
 from optshape_graph.pose.options import PoseOptions
 from optshape_graph.se3 import apply
@@ -254,13 +258,43 @@ class RingEnds(Value):
         n, yz = self.normals[np.arange(len(self.normals))[:, None], labels], apply(T, points)[..., 1:]
         return np.stack([np.vecdot(n, yz * [1.0, -1.0]), np.vecdot(n, yz[..., ::-1])], axis=-1)
 
-    def geometry(self, T: Floats, labels: Ints | None = None) -> EdgeGeometry:
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a pickle has: the arrays. Addresses are of one process."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    @cached_property
+    def laid_out(self) -> tuple[Ints, list[NDArray[Any]]]:
+        """Ring ends as the compiled library has them, and the arrays that it holds."""
+        arrays = [np.ascontiguousarray(getattr(self, name)) for name in _LAID_OUT]
+        counts = (*self.there.shape, self.normals.shape[1], self.by_shift.shape[2], self.silent.shape[1])
+        return structure(*counts, *arrays), arrays
+
+    def _geometry(self, functions: CDLL, T: Floats, labels: Ints | None, scan: Ints | None) -> EdgeGeometry:
+        """Look at the ring ends from poses by the compiled library, as `geometry` does."""
+        shape, table = (len(T), self.there.shape[1]), outermost_table()
+        if scan is None:
+            scan = np.arange(len(T)) if len(self.there) > 1 else np.zeros(len(T), dtype=np.int64)
+        given = np.full(shape, -1) if labels is None else np.array(labels, dtype=np.int64)
+        made = {name: np.empty((*shape, 3) if name == "direction" else shape) for name in _MADE}
+        geometry = EdgeGeometry(given, **made)
+        scatter, out = structure(float(Beam.OWN), len(table[0]), *table), structure(given, *made.values())
+        poses = np.ascontiguousarray(T)
+        functions.edge_geometry(*map(address, (self.laid_out[0], scatter)), len(T), *map(address, (scan, poses, out)))
+        return geometry
+
+    def geometry(self, T: Floats, labels: Ints | None = None, scan: Ints | None = None) -> EdgeGeometry:
         """Look at the ring ends from poses.
 
         Args:
-            T: (C, 4, 4) T_target_lidar, each of its scan.
+            T: (C, 4, 4) T_target_lidar.
             labels: (C, M) edge of each ring end; -1, and None for all: the edge that it leaves by first.
+            scan: (C,) of each pose; None: each is of its own, or all are of the one.
         """
+        functions = library()
+        if functions is not None:
+            return self._geometry(functions, T, labels, scan)
+        if scan is not None:
+            return self.take(scan).geometry(T, labels)
         R, t = T[:, :3, :3], T[:, None, :3, 3]
         to_target = np.swapaxes(R, 1, 2)
         ray, turning = self.points @ to_target, self.sweep @ to_target
@@ -305,6 +339,18 @@ class RingEnds(Value):
         ahead = np.where(speed > scale, -beyond / np.maximum(speed, scale), np.inf)
         leaves = np.isfinite(ahead.min(axis=-1))
         return np.asarray(np.where(leaves, ahead.argmin(axis=-1), np.abs(beyond).argmin(axis=-1)))
+
+
+_LAID_OUT = (
+    "there", "points", "sweep", "leftward", "upward", "beam", "lower", "width", "step", "scatter", "elevation_sd",
+    "azimuth_sd", "by_shift", "plane", "normals", "offsets", "vertices", "flatness", "beam_offset", "offset_sd",
+    "lost_ends", "lost_span", "azimuth_step", "reference_azimuth", "beam_angle", "lost_rings", "silent", "elevations",
+    "slowest",
+)  # fmt: skip
+"""Arrays of `RingEnds` in the order of the compiled library's structure."""
+
+_MADE = tuple(field.name for field in fields(EdgeGeometry))[1:]
+"""Arrays of `EdgeGeometry` after the labels."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -19,7 +19,7 @@ from optshape_graph.factors.static import (
     SharedError,
     angle_errors,
 )
-from optshape_graph.pose.ends.propagation import Posterior
+from optshape_graph.pose.ends.posterior import Posterior
 from optshape_graph.pose.ends.ring_ends import EdgeGeometry, Problem, RingEnds
 
 

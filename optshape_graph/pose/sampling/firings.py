@@ -19,6 +19,7 @@ import numpy as np
 
 from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.chords import chords, sight_planes
+from optshape_graph.compiled import address, library, structure
 from optshape_graph.edges import EdgePoints
 from optshape_graph.gaussian import logsumexp, ndtr
 from optshape_graph.scan import Scan
@@ -26,6 +27,7 @@ from optshape_graph.scan import Scan
 _PLACES = 24  # of the grid within a step that are averaged over
 _SEEN = 0.05  # a ring's place counts as known below this, in steps
 _REACH = 3.5  # standard deviations of a ring's place that count
+_OWN, _COMMON, _COMMON_AND_SEEN = range(3)  # whose grid firings are on, as the compiled library has it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,6 +98,13 @@ class Firings(Value):
 
     def log_likelihood(self, corners: Floats, offset: Floats | float = 0.0) -> Floats:
         """Logarithm (S,) of the likelihood of polygons (S, n, 3), LiDAR frame, metres; no width, so no offset."""
+        compiled = library()
+        if compiled is not None:
+            total, laid = np.empty(len(corners)), self._laid_out(corners)
+            kept = np.ascontiguousarray(corners)
+            if compiled.firings_log_likelihood(address(laid[0]), len(corners), address(kept), address(total)):
+                raise MemoryError
+            return total
         right, left = self._chords(corners, self.elevations)
         beyond_left, beyond_right = left - self.left, self.right - right
         # A ring far above or below no polygon meets has nothing to say: most of the sensor's.
@@ -111,6 +120,32 @@ class Firings(Value):
         if place is None:
             return np.asarray(own)
         return np.asarray(rings + self._missed(~_fired(empty_left, empty_right, place + offset)).sum(axis=-1))
+
+    def _laid_out(self, corners: Floats) -> tuple[Ints, list[Floats]]:
+        """Return the firings as the compiled library has them, for some polygons, and the arrays that it holds."""
+        met = self._may_be_met(corners)
+        place = None if self.shift.min() > _SEEN else self._seen_place()
+        grid = _COMMON if self.shift.min() > _SEEN else _OWN if place is None else _COMMON_AND_SEEN
+        off, density = self._places(int(np.ceil(_REACH * self.shift.max())) if grid == _COMMON else 0)
+        rings, empty = self.elevations, self.empty[met]
+        angles = [function(elevation) for elevation in (rings, empty) for function in (np.sin, np.cos)]
+        arrays = [self.left, self.right, self.shift, *angles, self.empty_offset[met], off, density]
+        arrays = [np.ascontiguousarray(array) for array in arrays]
+        chances = (*self.lost_span, self.lost_ends, self.lost_ring, self.step, self.reference_azimuth, place or 0.0)
+        counts = (len(rings), len(empty), corners.shape[1], off.shape[1], grid)
+        return structure(*counts, *arrays, *map(float, chances)), arrays
+
+    def _places(self, most: int) -> tuple[Floats, Floats]:
+        """How far left of its likeliest place each ring's last firing is (R, W, _PLACES), and the density of that.
+
+        If the grid is at a place within a step, and the ring off by whole steps, W = 2 most + 1; those beyond _REACH
+        standard deviations have no density.
+        """
+        place, whole = (np.arange(_PLACES) + 0.5) / _PLACES, np.arange(-most, most + 1.0)[:, None]
+        shift = self.shift[:, None, None]
+        e = ((place + (self.offset - self.left)[:, None] + 0.5) % 1.0 - 0.5)[:, None] + whole
+        density = np.exp(-0.5 * (e / shift) ** 2) / (shift * np.sqrt(2 * np.pi))
+        return e, np.where(np.abs(whole) <= np.ceil(_REACH * shift), density, 0.0)
 
     def _seen_place(self) -> float | None:
         """Place of the common grid where each ring's is all but known; None where they differ."""
@@ -152,16 +187,12 @@ class Firings(Value):
         self, beyond_left: Floats, beyond_right: Floats, empty_left: Floats, empty_right: Floats, offset: Floats
     ) -> Floats:
         """Logarithm (S,) of the likelihood of all rings, averaged over the place of one grid."""
-        place = (np.arange(_PLACES) + 0.5) / _PLACES
         log = np.zeros((len(beyond_left), _PLACES))
-        for k, (left, shift) in enumerate(zip(self.left, self.shift, strict=True)):
-            whole = np.arange(-np.ceil(_REACH * shift), np.ceil(_REACH * shift) + 1)
-            # How far left of its likeliest place the ring's last firing is, if the grid is at a place.
-            e = (place + self.offset[k] - left + 0.5) % 1.0 - 0.5 + whole[:, None]
-            density = np.exp(-0.5 * (e / shift) ** 2) / (shift * np.sqrt(2 * np.pi))
+        for k, (e, density) in enumerate(zip(*self._places(int(np.ceil(_REACH * self.shift.max()))), strict=True)):
             at_left = self._end_density(beyond_left[:, k, None, None] - e)
             at_right = self._end_density(beyond_right[:, k, None, None] + e)
             log += np.log((at_left * at_right * density).sum(axis=1) + self._floor)
+        place = (np.arange(_PLACES) + 0.5) / _PLACES
         fired = _fired(empty_left[..., None], empty_right[..., None], place + offset[:, None])
         log += self._missed(~fired).sum(axis=1)
         return np.asarray(logsumexp(log, axis=1) - np.log(_PLACES))

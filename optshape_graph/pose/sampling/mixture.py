@@ -16,8 +16,9 @@ from math import lgamma
 import numpy as np
 
 from optshape_graph._arrays import Floats, Value
+from optshape_graph.compiled import address, library
 from optshape_graph.gaussian import logsumexp
-from optshape_graph.se3 import inverse, quaternion, rotation, transform, turns_between
+from optshape_graph.se3 import inverse, quaternion, quaternions_from, rotation, transform, turns_between
 
 FREEDOM = 5.0
 """Degrees of freedom of the components: their tails are heavy."""
@@ -152,19 +153,28 @@ def _draw(components: Components, symmetries: Floats, rng: np.random.Generator) 
 def _log_components(components: Components, draws: Draws) -> tuple[Floats, Floats]:
     """Logarithm (C, S) of weight times density of each component, and where it has each sample (C, 7, S)."""
     roots: Floats = np.asarray(np.linalg.cholesky(components.covariance))
-    base = inverse(components.T)
-    charts = np.empty((len(base), 7, len(draws.T)))
+    base, whitening = inverse(components.T), np.linalg.inv(roots)
+    scale = np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
+    constant = lgamma((FREEDOM + 7) / 2) - lgamma(FREEDOM / 2) - 3.5 * np.log(FREEDOM * np.pi) - scale
+    constant = constant + np.log(components.weight)
+    places = np.ascontiguousarray(draws.T[:, :3, 3].T)
+    charts, compiled = np.empty((len(base), 7, len(draws.T))), library()
+    if compiled is not None:
+        log = np.empty((len(base), len(draws.T)))
+        quaternions = draws.quaternions.transpose(1, 2, 0)
+        arrays = (quaternions_from(components.T), base[:, :3], whitening, components.mean, constant, quaternions)
+        laid = [np.ascontiguousarray(array) for array in (*arrays, places, draws.scalar)]
+        counts = (len(base), len(draws.T), len(quaternions))
+        compiled.log_components(*counts, *map(address, laid), FREEDOM, address(log), address(charts))
+        return log, charts
     charts[:, :3], per_sine = turns_between(components.T, draws.quaternions)
-    charts[:, 3:6] = base[:, :3, :3] @ np.ascontiguousarray(draws.T[:, :3, 3].T) + base[:, :3, 3:]
+    charts[:, 3:6] = base[:, :3, :3] @ places + base[:, :3, 3:]
     charts[:, 6] = draws.scalar
-    white = np.linalg.inv(roots) @ (charts - components.mean[..., None])
+    white = whitening @ (charts - components.mean[..., None])
     squared = (white * white).sum(axis=1)
     # How much volume of rotations a volume of rotation vectors covers there: (2 sin(x / 2) / x)^2.
     volume = -2 * np.log(0.5 * per_sine)
-    constant = lgamma((FREEDOM + 7) / 2) - lgamma(FREEDOM / 2) - 3.5 * np.log(FREEDOM * np.pi)
-    scale = np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
-    log = constant - scale[:, None] - 0.5 * (FREEDOM + 7) * np.log1p(squared / FREEDOM) - volume
-    return log + np.log(components.weight)[:, None], charts
+    return constant[:, None] - 0.5 * (FREEDOM + 7) * np.log1p(squared / FREEDOM) - volume, charts
 
 
 def _refitted(components: Components, share: Floats, charts: Floats) -> Components:

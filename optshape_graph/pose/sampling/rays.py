@@ -12,11 +12,14 @@ few may be lost together, or the last return may be a stray; and a whole ring ma
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.chords import chords, sight_planes
+from optshape_graph.compiled import address, library, structure
 from optshape_graph.edges import EdgePoints, relative_azimuth
 from optshape_graph.scan import Scan
 
@@ -150,6 +153,13 @@ class Rays(Value):
             corners: (S, n, 3) the target's vertices, LiDAR frame, metres.
             offset: (S,) o, in beam widths, those of the beam itself.
         """
+        compiled = library()
+        if compiled is not None:
+            total, laid = np.empty(len(corners)), self._laid_out(corners.shape[1])
+            kept = [np.ascontiguousarray(array) for array in (corners, offset)]
+            if compiled.rays_log_likelihood(address(laid[0]), len(corners), *map(address, kept), address(total)):
+                raise MemoryError
+            return total
         normals = sight_planes(corners)
         outside = (normals.reshape(-1, 3) @ self.direction.T).reshape(*normals.shape[:2], -1).max(axis=1)
         P = self._returns(outside / self.width + offset[:, None] * self.share)
@@ -166,6 +176,15 @@ class Rays(Value):
         if len(self.empty):
             total += np.log(self.lost_ring + (1.0 - self.lost_ring) * self._unseen(normals, offset)).sum(axis=1)
         return np.asarray(total)
+
+    def _laid_out(self, edges: int) -> tuple[Ints, list[NDArray[Any]]]:
+        """Return the firings as the compiled library has them, for polygons of n edges, and its arrays."""
+        firings = (self.direction.T, self.width, self.share, self.inside, self.gaps, self.last, self.beyond, self.empty)
+        arrays = [np.ascontiguousarray(array) for array in firings]
+        counts = [len(array) for array in (self.direction, self.inside, self.gaps, self.last, self.empty)]
+        middle = float(np.median(self.width)), float(np.median(self.share))
+        chances = (float(self.lost), float(self.odd_ends), float(self.lost_ring), STRAY, ANYWHERE)
+        return structure(*counts, edges, *arrays, self.step, self.reference_azimuth, *chances, *middle), arrays
 
     def _returns(self, outside: Floats) -> Floats:
         """Probability of a return at an angle outside the outline, the common offset added, in beam widths."""
