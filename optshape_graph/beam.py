@@ -99,7 +99,7 @@ def outermost_table() -> tuple[Floats, Floats, Floats]:
         place = step * (phase[:, None] + np.arange(-np.ceil(1.5 / step), np.ceil(0.5 / step) + 1))
         returns = np.clip(0.5 - place, 0.0, 1.0)
         # The outermost lies before x where no ray beyond x returns.
-        before = np.array([np.where(place > at, 1.0 - returns, 1.0).prod(axis=1).mean() for at in x])
+        before = np.where(place > x[:, None, None], 1.0 - returns, 1.0).prod(axis=2).mean(axis=1)
         middle, mass = 0.5 * (x[1:] + x[:-1]), np.diff(before)
         mean = mass @ middle / mass.sum()
         variance = mass @ middle**2 / mass.sum() - mean**2

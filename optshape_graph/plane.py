@@ -9,7 +9,7 @@ import numpy as np
 from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.errors import EstimationError
 from optshape_graph.groups import Groups
-from optshape_graph.se3 import transform
+from optshape_graph.se3 import cross, transform
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,8 +60,7 @@ def fit_plane(points: Floats, ring: Ints | None) -> ReturnsPlane:
         raise EstimationError("no returns; a plane takes three at least")
     weights: Floats = np.ones(len(points))
     if ring is not None:
-        _, inverse, counts = np.unique(ring, return_inverse=True, return_counts=True)
-        weights = np.asarray((1.0 / (1.0 + counts))[inverse])
+        weights = np.asarray((1.0 / (1.0 + np.bincount(ring)))[ring])
     (plane,) = fit_planes(points, weights, Groups.of([points]))
     if isinstance(plane, EstimationError):
         raise plane
@@ -109,4 +108,4 @@ def _axes(normals: Floats, centres: Floats) -> Floats:
         left = turning - centres * ((turning * normals).sum(axis=1) / (normals * centres).sum(axis=1))[:, None]
         left -= normals * (left * normals).sum(axis=1, keepdims=True)
         left /= np.linalg.norm(left, axis=1, keepdims=True)
-    return np.stack([normals, left, np.cross(normals, left)], axis=1)
+    return np.stack([normals, left, cross(normals, left)], axis=1)

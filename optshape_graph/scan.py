@@ -199,9 +199,10 @@ def rings_missing(scan: Scan) -> InputError:
     )
 
 
-def _elevations(points: Floats) -> Floats:
-    """Return the elevations (N,), rad, of points (N, 3), LiDAR frame, metres."""
-    return np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+def elevations_of(points: Floats) -> Floats:
+    """Return the elevations (N,), rad, of points (N, 3), metres, LiDAR frame."""
+    x, y, z = points.T
+    return np.asarray(np.arctan2(z, np.hypot(x, y)))
 
 
 def rings_from_the_top(scan: Scan) -> str:
@@ -209,7 +210,7 @@ def rings_from_the_top(scan: Scan) -> str:
     if scan.ring is None or len(scan) == 0:
         return ""
     low, high = int(scan.ring.min()), int(scan.ring.max())
-    of_low, of_high = (_elevations(scan.points[scan.ring == one]) for one in (low, high))
+    of_low, of_high = (elevations_of(scan.points[scan.ring == one]) for one in (low, high))
     lowest, highest = float(np.mean(of_low)), float(np.mean(of_high))
     error = float(np.sqrt(np.var(of_low) / len(of_low) + np.var(of_high) / len(of_high)))
     if highest > lowest - LEVEL - 4.0 * error:

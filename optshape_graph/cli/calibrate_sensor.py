@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 @click.option("--sensor", "sensor_name", help="Built-in name or sensor file: the prior.  [default: the session's]")
 @click.option("--lidar", metavar="NAME", help="Which LiDAR of a session; not needed if there is only one.")
 @click.option("--topic", metavar="TOPIC", help="Topic of a recording's scans; not needed if there is only one.")
-@click.option("--distance", "measured", multiple=True, nargs=3, metavar="BOARD[/VERTEX] BOARD[/VERTEX] METRES",
-              help="Measured between boards that stood: fixes the mean range. Vertices count from 0.")  # fmt: skip
+@click.option("--distance", "measured", multiple=True, nargs=3, metavar="BOARD[/VERTEX] BOARD[/VERTEX] METRES[@SCAN]",
+              help="Measured between boards that stood, in that scan or where they stood so far apart: fixes the mean "
+              "range. Vertices count from 0.")  # fmt: skip
 @click.option("--distance-sd", type=POSITIVE, default=0.002, show_default=True, metavar="METRES",
               help="Standard deviation of these distances.")  # fmt: skip
 @crops_option
@@ -136,6 +137,7 @@ def _print(result: SensorCalibration) -> None:
     )  # fmt: skip
     say(
         f"{len(result.placements)} placements; those left out become likelier by {result.gain:.1f} (logarithm). Range "
-        f"noise {1e3 * result.sampling.range_noise:.1f} mm; rings end {result.sensor.edge_offset:+.2f} +- "
+        f"noise {1e3 * result.sampling.range_noise:.1f} mm within rings, {1e3 * result.sensor.range_noise:.1f} in the "
+        f"file; rings end {result.sensor.edge_offset:+.2f} +- "
         f"{result.sensor.edge_offset_sd:.2f} beam widths inside edges."
     )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.distance import pdist
@@ -11,8 +12,8 @@ from optshape_graph._arrays import Bools, Floats, Ints, Value
 from optshape_graph.detection.options import DetectionOptions
 from optshape_graph.detection.patches import Patch
 from optshape_graph.detection.segments import OrderedScan, Runs, find_borders, find_runs
-from optshape_graph.errors import EstimationError
-from optshape_graph.plane import ReturnsPlane, fit_plane
+from optshape_graph.groups import Groups
+from optshape_graph.plane import ReturnsPlane, fit_planes
 from optshape_graph.target import Target
 
 
@@ -45,33 +46,69 @@ class Candidate(Value):
     stepped: float
 
 
-def grow(scan: OrderedScan, patch: Patch, reach: float) -> Candidate:
-    """Grow a patch to all returns in its plane that are connected with it.
+@dataclass(frozen=True, eq=False, repr=False)
+class _Growing(Value):
+    """A patch that grows.
+
+    Attributes:
+        of_patch: (S,) whether each segment of the scan is the patch's.
+        near: (K,) rows of the ordered scan that may belong to it.
+        points: (K, 3) of these, metres.
+        rows: (N,) of the ordered scan that belong to it by now.
+    """
+
+    of_patch: Bools
+    near: Ints
+    points: Floats
+    rows: Ints
+
+    @classmethod
+    def of(cls, scan: OrderedScan, patch: Patch, reach: float) -> _Growing:
+        of_patch = np.zeros(len(scan.first), dtype=bool)
+        of_patch[patch.segments] = True
+        near = scan.near(patch.centre, reach)
+        return cls(of_patch, near, scan.points.take(near, axis=0), near[of_patch[scan.segment[near]]])
+
+    def grown(self, scan: OrderedScan, plane: ReturnsPlane) -> _Growing:
+        """Return the patch with all returns in a plane that are connected with it."""
+        off = self.points @ plane.axes[0] - plane.distance
+        runs = find_runs(scan, self.near[np.abs(off) < scan.band(plane.axes[0], plane.centre)])
+        return replace(self, rows=runs.rows[_connected(scan, runs, self.of_patch)])
+
+
+def grow(scan: OrderedScan, patches: Sequence[Patch], reach: float) -> list[Candidate]:
+    """Grow patches to all returns in their planes that are connected with them.
+
+    Those whose returns do not span a plane, or one that is seen edge-on, are left out.
 
     Args:
         scan: the ordered scan.
-        patch: where to start.
-        reach: largest distance from the patch's centre, metres.
-
-    Raises:
-        EstimationError: the returns do not span a plane, or it is seen edge-on.
+        patches: where to start.
+        reach: largest distance from a patch's centre, metres.
     """
-    of_patch = np.zeros(len(scan.first), dtype=bool)
-    of_patch[patch.segments] = True
-    seed = of_patch[scan.segment]
-    near = scan.near(patch.centre, reach)
-    member = near[seed[near]]
+    growing = [_Growing.of(scan, patch, reach) for patch in patches]
     for _ in range(2):
-        plane = fit_plane(scan.points[member], scan.ring[member])
-        off = (scan.points[near] - plane.centre) @ plane.axes[0]
-        runs = find_runs(scan, near[np.abs(off) < scan.band(plane.axes[0], plane.centre)])
-        keep = _connected(scan, runs, seed)
-        member = runs.rows[keep]
-    if len(member) == 0:
-        raise EstimationError("no returns in its plane")
-    member = member[without_limbs(scan, member, plane)]
-    runs = find_runs(scan, member)
-    plane = fit_plane(scan.points[member], scan.ring[member])
+        grown = [(one.grown(scan, plane), plane) for one, plane in _in_planes(scan, growing)]
+        growing = [one for one, _ in grown]
+    trimmed = [
+        replace(one, rows=one.rows[without_limbs(scan, one.rows, plane)]) for one, plane in grown if len(one.rows)
+    ]
+    return [_candidate(scan, find_runs(scan, one.rows), plane) for one, plane in _in_planes(scan, trimmed)]
+
+
+def _in_planes(scan: OrderedScan, growing: Sequence[_Growing]) -> list[tuple[_Growing, ReturnsPlane]]:
+    """Return patches with the planes through their returns, those that span one."""
+    some = [one for one in growing if len(one.rows)]
+    if not some:
+        return []
+    rows, groups = np.concatenate([one.rows for one in some]), Groups.of([one.rows for one in some])
+    ring = groups.of_row * len(scan.elevations) + scan.ring[rows]
+    weights = (1.0 / (1.0 + np.bincount(ring)))[ring]
+    planes = fit_planes(scan.points.take(rows, axis=0), weights, groups)
+    return [(one, plane) for one, plane in zip(some, planes, strict=True) if isinstance(plane, ReturnsPlane)]
+
+
+def _candidate(scan: OrderedScan, runs: Runs, plane: ReturnsPlane) -> Candidate:
     area, centroid, spread = _covered_area(scan, runs, plane)
     borders = find_borders(scan, runs.ends)
     return Candidate(
@@ -88,14 +125,19 @@ def grow(scan: OrderedScan, patch: Patch, reach: float) -> Candidate:
     )
 
 
-def _connected(scan: OrderedScan, runs: Runs, seed: Bools) -> Bools:
-    """Return (N,) whether each return's run holds a seed, or overlaps one that does and is few rings away.
+def _connected(scan: OrderedScan, runs: Runs, of_patch: Bools) -> Bools:
+    """Return (N,) whether each return's run has some of a patch, or overlaps one that has and is few rings away.
 
     Runs further away are left out, such as the pole of a stand below a target.
+
+    Args:
+        scan: the ordered scan.
+        runs: of the returns.
+        of_patch: (S,) whether each segment of the scan is the patch's.
     """
     if len(runs.rows) == 0:
         return np.zeros(0, dtype=bool)
-    seeded = np.logical_or.reduceat(seed[runs.rows], runs.first)
+    seeded = np.logical_or.reduceat(of_patch[scan.segment[runs.rows]], runs.first)
     left, right = runs.azimuth[runs.last], runs.azimuth[runs.first]
     slack = scan.resolution.step
     overlap = (left[:, None] + slack >= right[seeded]) & (left[seeded] + slack >= right[:, None])
@@ -109,7 +151,8 @@ def _covered_area(scan: OrderedScan, runs: Runs, plane: ReturnsPlane) -> tuple[f
     A beam's solid angle cos(e) da de covers r^2 cos(e) da de / cos(incidence).
     """
     points, count = scan.points[runs.rows], runs.last - runs.first + 1
-    density = (points**2).sum(axis=1) * np.hypot(points[:, 0], points[:, 1]) / np.abs(points @ plane.axes[0])
+    x, y, _ = points.T
+    density = scan.range[runs.rows] ** 2 * np.hypot(x, y) / np.abs(points @ plane.axes[0])
     width = runs.azimuth[runs.last] - runs.azimuth[runs.first] + scan.resolution.step
     of_run = np.repeat(width * scan.ring_heights[runs.ring] / count, count)
     weight = density * of_run
@@ -138,8 +181,8 @@ def without_limbs(scan: OrderedScan, rows: Ints, plane: ReturnsPlane) -> Bools:
     apart = int(np.ceil(scan.options.thickest_limb / rise)) if rise > 0 else n_rings
     if 2 * apart >= n_rings:
         return np.ones(len(rows), dtype=bool)
-    yz = (scan.points[rows] - plane.centre) @ plane.axes[1:].T
-    _, ring = np.unique(scan.ring[rows], return_inverse=True)
+    left, of_return = (scan.points[rows] - plane.centre) @ plane.axes[1], scan.ring[rows]
+    ring = (np.cumsum(np.bincount(of_return) > 0) - 1)[of_return]
     keep = np.ones(len(rows), dtype=bool)
     for side, end, z in zip((-1.0, 1.0), at[:, 0].reshape(2, n_rings), height, strict=True):
         lines = [
@@ -151,7 +194,7 @@ def without_limbs(scan: OrderedScan, rows: Ints, plane: ReturnsPlane) -> Bools:
             )
         ]
         reach = _middle(np.array(lines))
-        keep &= ~(side * yz[:, 0] > reach[ring] + slack)  # NaN: nothing to compare with
+        keep &= ~(side * left > reach[ring] + slack)  # NaN: nothing to compare with
     return keep
 
 

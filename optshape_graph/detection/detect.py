@@ -162,15 +162,14 @@ def _candidates(ordered: OrderedScan, sizes: Sequence[Size], rejected: list[Reje
     """Find surfaces of about the size of a target, the largest first."""
     least, most = min(size.area for size in sizes), max(size.area for size in sizes)
     width, diameter = min(size.width for size in sizes), max(size.diameter for size in sizes)
-    candidates = []
-    for patch in find_patches(ordered, shortest=0.2 * width, longest=1.1 * diameter):
+    patches = [
+        patch
+        for patch in find_patches(ordered, shortest=0.2 * width, longest=1.1 * diameter)
         # Tips, and rings that run on into something else, are not in the patch yet, so its area tells little.
-        if patch.n_rings < ordered.options.fewest_rings - 1 or not 0.25 * least < patch.area < 1.5 * most:
-            continue
-        try:
-            candidate = grow(ordered, patch, 1.5 * diameter)
-        except EstimationError:
-            continue
+        if patch.n_rings >= ordered.options.fewest_rings - 1 and 0.25 * least < patch.area < 1.5 * most
+    ]
+    candidates = []
+    for candidate in grow(ordered, patches, 1.5 * diameter):
         problem, passed = _problem(candidate, sizes, ordered.options)
         if problem:
             rejected.append(rejection(candidate, problem, passed))

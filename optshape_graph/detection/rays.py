@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optshape_graph._arrays import Bools, Floats, Ints, Value
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.detection.segments import OrderedScan
 from optshape_graph.se3 import inverse
 
@@ -39,8 +39,8 @@ def returned_near(scan: OrderedScan, T_lidar_target: Floats, radius: float) -> R
     T = inverse(T_lidar_target)
     near = scan.toward(T_lidar_target[:3, 3], radius)
     rays = scan.points.take(near, axis=0) @ T[:3, :3].T
-    crossing, meets = _cross(rays, T[:3, 3], scan.range[near], radius)
-    return Rays(near[meets], crossing[meets], rays[meets] + T[:3, 3])
+    meets, crossing = _cross(rays, T[:3, 3], scan.range.take(near), radius)
+    return Rays(near.take(meets), crossing, rays.take(meets, axis=0) + T[:3, 3])
 
 
 def fired_near(scan: OrderedScan, T_lidar_target: Floats, radius: float) -> Floats:
@@ -60,12 +60,11 @@ def fired_near(scan: OrderedScan, T_lidar_target: Floats, radius: float) -> Floa
     directions[..., 0] = across * np.cos(azimuth)
     directions[..., 1] = across * np.sin(azimuth)
     directions[..., 2] = np.sin(rings)[:, None]
-    crossing, meets = _cross(directions.reshape(-1, 3) @ T[:3, :3].T, T[:3, 3], 1.0, radius)
-    return crossing[meets]
+    return _cross(directions.reshape(-1, 3) @ T[:3, :3].T, T[:3, 3], 1.0, radius)[1]
 
 
-def _cross(rays: Floats, sensor: Floats, ranges: Floats | float, radius: float) -> tuple[Floats, Bools]:
-    """Return where rays meet a target's plane (N, 2), and which (N,) do so within a radius, metres.
+def _cross(rays: Floats, sensor: Floats, ranges: Floats | float, radius: float) -> tuple[Ints, Floats]:
+    """Return which rays (M,) meet a target's plane within a radius of its origin, and where (M, 2), metres.
 
     Args:
         rays: (N, 3) along the axes of the target's frame.
@@ -73,9 +72,9 @@ def _cross(rays: Floats, sensor: Floats, ranges: Floats | float, radius: float) 
         ranges: (N,) their lengths, or that of all.
         radius: metres.
     """
-    x = rays[:, 0]
+    x, y, z = rays.T
     ahead = x > _STEEP * ranges
     scale = -sensor[0] / np.where(ahead, x, 1.0)
-    crossing = rays[:, 1:] * scale[:, None]
-    crossing += sensor[1:]
-    return crossing, ahead & (np.einsum("ni,ni->n", crossing, crossing) < radius**2)
+    y, z = y * scale + sensor[1], z * scale + sensor[2]
+    meets = np.flatnonzero(ahead & (y * y + z * z < radius**2))
+    return meets, np.column_stack([y.take(meets), z.take(meets)])

@@ -121,20 +121,12 @@ class OrderedScan(Value):
 
     def near(self, centre: Floats, reach: float) -> Ints:
         """Return the rows of the returns within `reach` of a point (3,), metres, ascending."""
-        rows = self._window(centre, reach)
+        rows = self.toward(centre, reach)
         off = self.points.take(rows, axis=0) - centre
         return np.asarray(rows[np.einsum("ni,ni->n", off, off) < reach**2])
 
     def toward(self, centre: Floats, reach: float) -> Ints:
-        """Return the rows of the returns whose rays pass within `reach` of a point (3,), metres, ascending."""
-        rows, away = self._window(centre, reach), float(np.linalg.norm(centre))
-        if reach >= away:
-            return rows
-        cosine = np.sqrt(1.0 - (reach / away) ** 2)
-        return np.asarray(rows[self.points.take(rows, axis=0) @ centre >= cosine * away * self.range[rows]])
-
-    def _window(self, centre: Floats, reach: float) -> Ints:
-        """Return the rows of returns with the azimuths of points within `reach` of a point, ring by ring."""
+        """Return the rows of returns with the azimuths of points within `reach` of a point (3,), metres, ascending."""
         away = float(np.hypot(centre[0], centre[1]))
         rows = self._rows
         if reach >= away:
@@ -166,7 +158,7 @@ def order_scan(scan: Scan, options: DetectionOptions, fired: Fired | None = None
     # Once sorted by ring, whose numbers are small, the returns are mostly in order: both sorts are linear.
     by_ring = np.argsort(scan.ring.astype(np.uint16), kind="stable")
     order = by_ring[np.argsort(_position(scan.ring, azimuth)[by_ring], kind="stable")]
-    points, ring, azimuth = scan.points[order], scan.ring[order], azimuth[order]
+    points, ring, azimuth = scan.points.take(order, axis=0), scan.ring[order], azimuth[order]
     ranges = np.sqrt(np.einsum("ni,ni->n", points, points))
     resolution = _resolution(scan, azimuth, ring)
     starts = _starts(ring, azimuth, ranges, resolution, options)
@@ -254,7 +246,7 @@ class Runs(Value):
     @cached_property
     def ends(self) -> Ints:
         """(2 M,) those of `rows` at which rings begin, ring by ring, then those at which they end."""
-        first = np.flatnonzero(np.diff(self.ring, prepend=-1))
+        first = np.flatnonzero(_beginning(self.ring[1:] != self.ring[:-1], len(self.ring)))
         last = np.append(first[1:], len(self.ring))[: len(first)] - 1
         return np.asarray(self.rows[np.concatenate([self.first[first], self.last[last]])])
 
@@ -263,15 +255,22 @@ def find_runs(scan: OrderedScan, rows: Ints) -> Runs:
     """Cut returns, `rows` (N,) of one side of the sensor, into runs along their rings."""
     azimuth, ring = scan.azimuth[rows], scan.ring[rows]
     azimuth = (azimuth - azimuth[:1] + np.pi) % (2 * np.pi) - np.pi
-    turned, onward = np.diff(azimuth), np.diff(ring)
+    turned, onward = azimuth[1:] - azimuth[:-1], ring[1:] - ring[:-1]
     if ((onward < 0) | ((onward == 0) & (turned < 0))).any():  # mostly they are in order already
         order = np.lexsort((azimuth, ring))
         rows, azimuth, ring = rows[order], azimuth[order], ring[order]
+        turned, onward = azimuth[1:] - azimuth[:-1], ring[1:] - ring[:-1]
     longest_gap = scan.options.longest_gap * scan.resolution.step
-    starts = (np.diff(ring, prepend=-1) != 0) | (np.diff(azimuth, prepend=0.0) > longest_gap)
-    first = np.flatnonzero(starts)
+    first = np.flatnonzero(_beginning((onward != 0) | (turned > longest_gap), len(rows)))
     last = np.append(first[1:], len(rows)) - 1 if len(rows) else first
     return Runs(rows, azimuth, first, last, ring[first])
+
+
+def _beginning(changes: Bools, n: int) -> Bools:
+    """Return (n,) whether a run begins at each of n rows, by whether anything changes at all but the first (n - 1,)."""
+    begins = np.ones(n, dtype=bool)
+    begins[1:] = changes
+    return begins
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import secrets
 import stat
@@ -52,20 +53,54 @@ def read_bytes(path: str | Path, largest: int = LARGEST_FILE) -> bytes:
     Raises:
         InputError: the file is missing, a folder, not readable, or larger than `largest` bytes.
     """
-    path = Path(path)
+    with _opened(Path(path)) as (stream, expected):
+        return _content(path, stream, expected, largest)
+
+
+@contextlib.contextmanager
+def open_bounded(path: str | Path, largest: int = LARGEST_FILE) -> Iterator[tuple[BinaryIO, int]]:
+    """Open a file to be read here and there; a pipe is read whole before.
+
+    Args:
+        path: of the file.
+        largest: bytes that it may have.
+
+    Yields:
+        The stream, and its length in bytes.
+
+    Raises:
+        InputError: as `read_bytes`, or reading fails meanwhile.
+    """
+    with _opened(Path(path)) as (stream, size):
+        if stream.seekable() and size <= largest:
+            yield stream, size
+        else:
+            content = _content(path, stream, size, largest)
+            yield io.BytesIO(content), len(content)
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[tuple[BinaryIO, int]]:
+    """Open a file, and say how many bytes are expected; what goes wrong until the end of the block is an InputError."""
     try:
         expected = _check_regular(path)
-        with path.open("rb") as stream:  # read(n) allocates n bytes at once: the size of a file, or a piece of a pipe
-            pieces, size = [], 0
-            while size <= largest and (piece := stream.read(min(expected, largest) + 1 if not size else _PIECE)):
-                pieces.append(piece)
-                size += len(piece)
+        with path.open("rb") as stream:
+            yield stream, expected
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error
     except InputError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise InputError(f"{path}: cannot be read ({_reason(error)})") from error
+
+
+def _content(path: str | Path, stream: BinaryIO, expected: int, largest: int) -> bytes:
+    """Return all that a stream has left."""
+    pieces, size = list[bytes](), 0
+    # read(n) allocates n bytes at once: the size of a file, or a piece of a pipe
+    while size <= largest and (piece := stream.read(min(expected, largest) + 1 if not size else _PIECE)):
+        pieces.append(piece)
+        size += len(piece)
     if size > largest:
         raise InputError(f"{path}: larger than {largest} bytes, the most that is read of such a file")
     return b"".join(pieces)  # of one piece: without a copy

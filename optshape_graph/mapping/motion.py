@@ -16,7 +16,7 @@ from operator import is_
 import gtsam
 import numpy as np
 
-from optshape_graph._arrays import Floats, Value
+from optshape_graph._arrays import Floats, Ints, Value
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.graph import Chains, Inverse, Solution, State, add_rows, solve
 from optshape_graph.mapping.sweep import Sweep
@@ -61,9 +61,7 @@ def deskew(scan: Scan, motion: Floats | Sweep, at: float = 0.0) -> Scan:
     Raises:
         InputError: the scan has no times.
     """
-    if isinstance(motion, Sweep):
-        return replace(scan, points=motion.straighten(scan.points, _times(scan), at))
-    return replace(scan, points=_moved(scan.points, _times(scan) - at, motion))
+    return replace(scan, points=_brought(scan.points, _times(scan), motion, at))
 
 
 def estimate_moving(returns: Scan, target: Target, motion: Floats | Sweep) -> tuple[PoseEstimate, float]:
@@ -84,22 +82,31 @@ def estimate_moving(returns: Scan, target: Target, motion: Floats | Sweep) -> tu
         InputError: the scan has no times.
         EstimationError: as `estimate_pose`.
     """
-    straight, at = at_own_time(returns, motion)
+    straight, at = at_own_time(returns, np.arange(len(returns)), motion)
     return estimate_pose(straight, target), at
 
 
-def at_own_time(returns: Scan, motion: Floats | Sweep) -> tuple[Scan, float]:
-    """Bring returns on one target to the mean of their own times, and return that time, seconds from the scan's stamp.
+def at_own_time(scan: Scan, rows: Ints, motion: Floats | Sweep) -> tuple[Scan, float]:
+    """Bring a scan's returns on one target to the mean of their times; return that, too, seconds from the stamp.
 
     Args:
-        returns: with times.
-        motion: of the LiDAR, as of `deskew`.
+        scan: with the time of each return.
+        rows: (K,) numbers of the target's returns.
+        motion: a twist (6,), rad/s and m/s, or a sweep, as of `deskew`.
 
     Raises:
         InputError: the scan has no times.
     """
-    at = float(_times(returns).mean()) if len(returns) else 0.0
-    return deskew(returns, motion, at), at
+    seconds = _times(scan)[rows]
+    at = float(seconds.mean()) if len(rows) else 0.0
+    return scan.select(rows, _brought(scan.points.take(rows, axis=0), seconds, motion, at)), at
+
+
+def _brought(points: Floats, seconds: Floats, motion: Floats | Sweep, at: float) -> Floats:
+    """Return points (N, 3), metres, each hit at its own time (N,), seconds, in the LiDAR's frame at another time."""
+    if isinstance(motion, Sweep):
+        return motion.straighten(points, seconds, at)
+    return _moved(points, seconds - at, motion)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

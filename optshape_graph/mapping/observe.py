@@ -97,7 +97,7 @@ def _search(frame: Keyframe, targets: Sequence[Target]) -> Search:
         return Search(scan, targets)
 
     def fired(rows: Ints) -> tuple[Scan, Floats]:
-        returns, at = at_own_time(scan.select(rows), motion)
+        returns, at = at_own_time(scan, rows, motion)
         return returns, motion.between(0.0, at)
 
     return Search(deskew(scan, motion), targets, fired)
@@ -105,27 +105,28 @@ def _search(frame: Keyframe, targets: Sequence[Target]) -> Search:
 
 def _sighting(frame: Keyframe, detection: Detection, named: bool, shapes: bool, biases: bool) -> Sighting:
     """A target from the scan's stamp, of several LiDARs from the first of them."""
-    returns, estimate, motion, at = frame.scan.select(detection.indices), detection.estimate, _motion(frame), 0.0
-    if motion is not None:
-        returns, at = at_own_time(returns, motion)
-    shape = shape_measurement(estimate, returns) if shapes and estimate.status == "ok" else None
+    scan, rows, estimate, motion = frame.scan, detection.indices, detection.estimate, _motion(frame)
+    shape = None
+    if shapes and estimate.status == "ok":
+        returns = scan.select(rows) if motion is None else at_own_time(scan, rows, motion)[0]
+        shape = shape_measurement(estimate, returns)
     seen = Sighting.of(estimate, detection.target.name if named else None, shape, biases=biases)
-    if motion is not None:
-        seen = seen.moved(motion.between(0.0, at), motion.uncertainty(0.0, at))
-    elif frame.sweep is not None:
-        seen = seen.moved(np.eye(4), _uncertainty(returns, frame.sweep))
+    if frame.sweep is not None:
+        at = None if scan.time is None else float(scan.time[rows].mean())
+        T = np.eye(4) if motion is None or at is None else motion.between(0.0, at)
+        seen = seen.moved(T, _uncertainty(at, frame.sweep))
     first = frame.T_first_lidar
     return replace(seen, lidar=frame.lidar) if first is None else seen.on_body(first, frame.lidar)
 
 
-def _uncertainty(fired: Scan, sweep: Sweep) -> Floats:
-    """How well the motion from a scan's stamp to the time of some returns is known (6, 6), rotation first.
+def _uncertainty(at: float | None, sweep: Sweep) -> Floats:
+    """How well the motion from a scan's stamp to a time is known (6, 6), rotation first.
 
-    Without times, that is any within half a revolution of the stamp.
+    Without a time, that is any within half a revolution of the stamp.
     """
-    if fired.time is None:
+    if at is None:
         return np.outer(sweep.twist, sweep.twist) * HALF_REVOLUTION**2 / 3.0
-    return sweep.uncertainty(0.0, float(fired.time.mean()))
+    return sweep.uncertainty(0.0, at)
 
 
 def observe_all(

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optshape_graph._arrays import Floats
-from optshape_graph.se3 import apply, difference, exp, inverse
+from optshape_graph.se3 import difference, exp, inverse
 
 DEGREE = 2
 """Of the polynomials: a tenth of a second of anything on wheels, legs or wings."""
@@ -115,8 +115,11 @@ class Sweep:
     def straighten(self, points: Floats, seconds: Floats, at: float) -> Floats:
         """Return points (N, 3), metres, each hit at its own time (N,), s, in the LiDAR's frame at another time."""
         times, which = np.unique(seconds, return_inverse=True)
-        T = self.between(at, times)[which]
-        return np.asarray(apply(T, points[:, None])[:, 0])
+        x, y, z = points.T
+        straight = np.empty_like(points)
+        for axis, (to_x, to_y, to_z, t) in enumerate(self.between(at, times)[:, :3].transpose(1, 2, 0)):
+            straight[:, axis] = to_x[which] * x + to_y[which] * y + to_z[which] * z + t[which]
+        return straight
 
     def _powers(self, s: Floats) -> Floats:
         return np.asarray(s[..., None] ** np.arange(len(self.coefficients)))

@@ -24,7 +24,7 @@ def surface(target: Target, T: np.ndarray, seed: int):
     ordered = order_scan(scan_of(plain(VLP32C), [(target, T)], seed=seed).scan, DetectionOptions())
     size = Size.of(target)
     (patch,) = (p for p in find_patches(ordered, 0.2 * size.width, 1.1 * size.diameter) if p.n_rings > 8)
-    candidate = grow(ordered, patch, 1.5 * size.diameter)
+    (candidate,) = grow(ordered, [patch], 1.5 * size.diameter)
     return ordered, candidate, Boundary.of(ordered, candidate.ends, candidate.plane)
 
 

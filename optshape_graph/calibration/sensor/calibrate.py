@@ -40,7 +40,7 @@ from optshape_graph.sensor import SensorModel
 from optshape_graph.target import Target
 
 LEFT_OUT = 3
-"""Every so many-th moment is left out together, to judge what the others say."""
+"""Every so many-th moment, or session, is left out together, to judge what the others say."""
 
 FEW = 60
 """Placements up to which every moment is left out once; of more, one part is enough."""
@@ -87,26 +87,25 @@ def calibrate_sensor(
     opened.check(distances, use_target_points)
     placements: list[Placement] = []
     left_out: list[str] = []
-    frames: list[list[int]] = []
+    numbers: list[range] = []
     for source in opened.sources:
         if isinstance(source, Session):
             found, gone = of_session(source, opened.targets, use_target_points, progress, kept or Kept())
         else:
             found, gone = of_recording(source, topic, opened.targets, opened.sensor, progress, kept or Kept())
-        if any(placement.markers is not None for placement in found):
-            frames.append([len(placements) + k for k in range(len(found))])
+        numbers.append(range(len(placements), len(placements) + len(found)))
         # Moments of different sources are different moments.
         offset = 1 + max((one.moment for p in placements for one in p.sightings), default=-1)
         placements += [_later(placement, offset) for placement in found]
         left_out += gone
-    return calibrate_placements(placements, opened.sensor, distances, frames, left_out)
+    return calibrate_placements(placements, opened.sensor, distances, numbers, left_out)
 
 
 def calibrate_placements(
     placements: Sequence[Placement],
     sensor: SensorModel,
     distances: Sequence[Distance] = (),
-    frames: Sequence[Sequence[int]] = (),
+    sources: Sequence[Sequence[int]] = (),
     left_out: Sequence[str] = (),
 ) -> SensorCalibration:
     """Calibrate a sensor by placements that are estimated already.
@@ -115,7 +114,7 @@ def calibrate_placements(
         placements: of boards.
         sensor: its file, the prior.
         distances: between boards, measured.
-        frames: numbers of the placements that each motion-capture frame saw.
+        sources: numbers of the placements of each session or recording; none: all are of one, without motion capture.
         left_out: what took no part, in words.
 
     Raises:
@@ -124,15 +123,16 @@ def calibrate_placements(
     if len(placements) < FEWEST:
         reasons = "".join(f"; {text}" for text in left_out[:3])
         raise too_few(f"found {len(placements)}{reasons}")
-    tied = [(numbers, _frame(placements, numbers)) for numbers in frames]
+    captured = [numbers for numbers in sources if any(placements[p].markers is not None for p in numbers)]
+    tied = [(numbers, _frame(placements, numbers)) for numbers in captured]
     known = known_beside(placements, distances, tied)
-    prior = with_mean_range_open(sensor) if distances or frames else sensor
+    prior = with_mean_range_open(sensor) if distances or captured else sensor
     joint, drift = _solved(placements, prior, known)
     if prior is not sensor and not mean_range_is_told(joint, prior):
         prior = sensor
         joint, drift = _solved(placements, prior, known)
     seen, start = joint.seen, _starts(placements)
-    folds = _folds(placements, seen, start)
+    folds = _folds(seen, start, _turns(placements, sources))
     kept, worth = that_help(folds)
     before, after = _ring_residuals(folds, kept, sensor.n_rings)
     held = tuple(kind for kind in IN_TURN if kind not in kept)
@@ -200,19 +200,28 @@ def _frame(placements: Sequence[Placement], numbers: Sequence[int]) -> Floats:
     return find_agreement(scans, "the session").T_lidar_mocap
 
 
-def _folds(
-    placements: Sequence[Placement], seen: Sequence[Seen], start: Mapping[int, Floats]
-) -> list[tuple[Joint, Joint]]:
-    """Leave out some moments in turn: solve their placements by themselves, and all others."""
+def _turns(placements: Sequence[Placement], sources: Sequence[Sequence[int]]) -> list[set[int]]:
+    """Numbers of the placements that are left out in turn: those of some moments, or of some sessions.
+
+    Of sessions, if none has most of the placements: a sensor keeps its errors from one to the next.
+    """
+    n = len(placements)
+    if max(map(len, sources), default=n) <= n * (LEFT_OUT - 1) / LEFT_OUT:
+        unit, turns = {p: k for k, numbers in enumerate(sources) for p in numbers}, LEFT_OUT
+    else:
+        order = {moment: k for k, moment in enumerate(sorted({placement.moment for placement in placements}))}
+        unit, turns = {p: order[one.moment] for p, one in enumerate(placements)}, LEFT_OUT if n <= FEW else 1
+    parts = [{p for p, k in unit.items() if k % LEFT_OUT == turn} for turn in range(turns)]
+    return [part for part in parts if 0 < len(part) < n]
+
+
+def _folds(seen: Sequence[Seen], start: Mapping[int, Floats], turns: Sequence[set[int]]) -> list[tuple[Joint, Joint]]:
+    """Leave out some placements in turn: solve them by themselves, and all others."""
 
     def of(chosen: set[int]) -> Joint:
         return solve([one for one in seen if one.placement in chosen], {p: start[p] for p in sorted(chosen)})
 
-    order = {moment: k for k, moment in enumerate(sorted({placement.moment for placement in placements}))}
-    turns = LEFT_OUT if len(placements) <= FEW else 1
-    parts = [{p for p, one in enumerate(placements) if order[one.moment] % LEFT_OUT == k} for k in range(turns)]
-    everyone = set(range(len(placements)))
-    return [(of(part), of(everyone - part)) for part in parts if part and part != everyone]
+    return [(of(part), of(set(start) - part)) for part in turns]
 
 
 def _ring_residuals(
@@ -270,7 +279,7 @@ def _calibrated(
         "reported_azimuth_offsets": nothing if reported.azimuth_offsets is None else reported.azimuth_offsets,
         "edge_offset": sensor.edge_offset + float(joint.beta[edge]) * sensor.edge_offset_sd,
         "edge_offset_sd": float(np.hypot(edge_sd, EDGE_SYSTEMATIC)),
-        "range_noise": sampled.range_noise,
+        "range_noise": sampled.noise_over(sensor.range_noise),
         "azimuth_step": sampled.azimuth_step,
     }
     if sampled.firing_times is not None and sampled.firing_sd is not None and sampled.firing_period is not None:

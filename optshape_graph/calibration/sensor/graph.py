@@ -22,6 +22,7 @@ from optshape_graph.errors import EstimationError
 from optshape_graph.factors import SharedError
 from optshape_graph.graph import SharedErrors
 from optshape_graph.graph import solve as minimise
+from optshape_graph.pose.ends import DAMPING
 
 ROUNDS = 30
 """Turns at most."""
@@ -29,6 +30,9 @@ ROUNDS = 30
 MOVING = 6
 """Turns in which a ring may come to leave by another edge, and an end to count for nothing: they could go on to change
 their minds."""
+
+SWINGING = 10
+"""Turns after which Gaussians that still change swing about where they belong, and go half as far."""
 
 LOOSE = gtsam.noiseModel.Isotropic.Sigma(6, 1.0)
 """Of a pose about where it starts, rad and metres: rings that end on two parallel sides alone leave it open."""
@@ -121,12 +125,14 @@ def solve(seen: Sequence[Seen], start: Mapping[int, Floats], known: Known | None
         settled = turn > 3 and bool(step.max() < SETTLED)
         if settled:
             break
+        undecided = turn < MOVING
+        go = DAMPING if undecided else DAMPING / 2 if turn < SWINGING else DAMPING / 4
         again = []
         for one in seen:
             index = np.concatenate([system.index([H(one.placement)]), own])
             where = np.array([place[error] for error in one.rows(poses[one.placement]).errors])
             again.append(
-                one.updated(poses[one.placement], where, beta, everything[np.ix_(index, index)], turn < MOVING)
+                one.updated(poses[one.placement], where, beta, everything[np.ix_(index, index)], undecided, go)
             )
         seen = again
     return Joint(poses, errors, beta, covariance, tuple(seen), turn, settled)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import gtsam
 import numpy as np
@@ -21,6 +22,12 @@ from optshape_graph.factors import CheckedFactor
 from optshape_graph.se3 import apply, inverse, skew
 from optshape_graph.target import Target
 
+FITS = 3.0
+"""Standard deviations within which boards are as far apart as was measured."""
+
+OPEN = 0.01
+"""Standard deviation, metres, of what ranges are off by in common, before a distance tells it."""
+
 
 @dataclass(frozen=True)
 class Distance:
@@ -31,12 +38,14 @@ class Distance:
         b: of the other.
         metres: measured.
         sd: standard deviation, metres.
+        scan: name of one in which they stood so far apart; "": of those that it fits.
     """
 
     a: tuple[str, int | None]
     b: tuple[str, int | None]
     metres: float
     sd: float = 2e-3
+    scan: str = ""
 
     @classmethod
     def parsed(cls, a: str, b: str, metres: float | str, sd: float = 2e-3) -> Distance:
@@ -45,7 +54,7 @@ class Distance:
         Args:
             a: the one point.
             b: the other.
-            metres: between them.
+            metres: between them; as text also METRES@SCAN, with the name of a scan in which they stood so.
             sd: standard deviation, metres.
 
         Raises:
@@ -58,13 +67,14 @@ class Distance:
                 raise InputError(f"'{text}': expected BOARD or BOARD/VERTEX, the vertex as its number from 0")
             return name, int(vertex) if slash else None
 
+        number, _, scan = str(metres).partition("@")
         try:
-            length = float(metres)
+            length = float(number)
         except ValueError:
             length = -1.0
         if not (0 < length < np.inf and 0 < sd < np.inf):
             raise InputError(f"distance '{metres}' +- {sd} m between {a} and {b}: expected positive numbers")
-        return cls(point(a), point(b), length, sd)
+        return cls(point(a), point(b), length, sd, scan)
 
 
 def known_beside(
@@ -77,18 +87,17 @@ def known_beside(
 
     Args:
         placements: all of them; their numbers are those of the poses' keys.
-        distances: between boards; each holds wherever both were seen at once.
+        distances: between boards; each holds where both stood at once, that far apart.
         frames: of each motion-capture frame, the numbers of the placements that it saw, and about T_lidar_mocap (4, 4).
         model: of the markers; None: the usual one.
 
     Raises:
-        InputError: a distance to a board or a vertex that is not there, or between boards never seen at once.
+        InputError: a distance to a board or a vertex that is not there; between boards that never stood at once, or
+            never so far apart; or that fits several ways in which they stood.
     """
     factors, values, model = gtsam.NonlinearFactorGraph(), gtsam.Values(), model or MarkerModel()
     for distance in distances:
-        pairs = _pairs(placements, distance)
-        if not pairs:
-            raise InputError(f"boards '{distance.a[0]}' and '{distance.b[0]}' were never seen at once")
+        pairs = _measured(placements, distance)
         for i, j in pairs:
             a, b = (point_of(placements[k].target, v) for k, (_, v) in ((i, distance.a), (j, distance.b)))
             # One measurement: however often it is used, it says the same once.
@@ -134,20 +143,70 @@ def distance_factor(i: int, a: Floats, j: int, b: Floats, metres: float, sd: flo
     return CheckedFactor(evaluate, 1, [H(i), H(j)], [6, 6])
 
 
-def _pairs(placements: Sequence[Placement], distance: Distance) -> list[tuple[int, int]]:
-    """Numbers of the placements of both boards that were seen at once."""
+def _measured(placements: Sequence[Placement], distance: Distance) -> list[tuple[int, int]]:
+    """Numbers of the placements of both boards in which they are as far apart as was measured."""
     names = {placement.target.name for placement in placements}
     for name, _ in (distance.a, distance.b):
         if name not in names:
             raise InputError(f"distance to board '{name}', which was not seen; found {', '.join(sorted(names))}")
-    moments = [{one.moment for one in placement.sightings} for placement in placements]
-    return [
-        (i, j)
-        for i, one in enumerate(placements)
-        for j, other in enumerate(placements)
-        if one.target.name == distance.a[0] and other.target.name == distance.b[0] and i != j
-        and moments[i] & moments[j]
-    ]  # fmt: skip
+    spans = [(one.sightings[0].moment, one.sightings[-1].moment) for one in placements]
+    between = f"boards '{distance.a[0]}' and '{distance.b[0]}'"
+    found: dict[tuple[int, int], tuple[float, float]] = {}
+    for i, j in product(range(len(placements)), repeat=2):
+        named = (placements[i].target.name, placements[j].target.name) == (distance.a[0], distance.b[0])
+        if named and i != j and spans[i][0] <= spans[j][1] and spans[j][0] <= spans[i][1]:
+            found[i, j] = _length(placements[i], distance.a[1], placements[j], distance.b[1])
+    if distance.scan:
+        found = {
+            (i, j): value for (i, j), value in found.items() if _stood_in(distance.scan, placements[i], placements[j])
+        }
+    if not found:
+        raise InputError(f"{between} were never seen at once{f' in {distance.scan}' if distance.scan else ''}")
+    near = {
+        pair: (length, sd)
+        for pair, (length, sd) in found.items()
+        if abs(length - distance.metres) < FITS * np.hypot(np.hypot(sd, distance.sd), 2 * OPEN)
+    }
+    if not near:
+        closest = min((length for length, _ in found.values()), key=lambda length: abs(length - distance.metres))
+        raise InputError(
+            f"{between} were measured {distance.metres:g} m apart; where both were seen they are {closest:.3f} m apart"
+            f"{' at best' if len(found) > 1 else ''}"
+        )
+    first, last = (pick(near, key=lambda pair: near[pair]) for pick in (min, max))
+    (shortest, sd), (longest, other) = near[first], near[last]
+    if longest - shortest > FITS * np.hypot(sd, other):
+        firsts = ([placements[k].sightings[0] for k in pair] for pair in (first, last))
+        scans = [max(both, key=lambda one: one.moment).name for both in firsts]
+        raise InputError(
+            f"{between}, {distance.metres:g} m apart: more than one way in which they stood fits, {shortest:.3f} m in "
+            f"{scans[0]} and {longest:.3f} m in {scans[1]}; name the scan: {distance.metres:g}@{scans[0]}"
+        )
+    return list(near)
+
+
+def _stood_in(scan: str, one: Placement, other: Placement) -> bool:
+    """Whether two boards were in a place from a scan of that name on, or until it."""
+    moments = {sighting.moment for board in (one, other) for sighting in board.sightings if sighting.name == scan}
+    return any(
+        all(board.sightings[0].moment <= moment <= board.sightings[-1].moment for board in (one, other))
+        for moment in moments
+    )
+
+
+def _length(one: Placement, a: int | None, other: Placement, b: int | None) -> tuple[float, float]:
+    """How far two points of boards are apart by what their first scans show, and its standard deviation, metres."""
+    points, spreads = [], []
+    for placement, vertex in ((one, a), (other, b)):
+        estimate, point = placement.sightings[0].estimate, point_of(placement.target, vertex)
+        T = estimate.T_lidar_target
+        J = T[:3, :3] @ np.hstack([-skew(point), np.eye(3)])
+        points.append(apply(T, point[None])[0])
+        spreads.append(J @ estimate.covariance @ J.T)
+    apart = points[0] - points[1]
+    length = float(np.linalg.norm(apart))
+    u = apart / max(length, 1e-9)
+    return length, float(np.sqrt(u @ (spreads[0] + spreads[1]) @ u))
 
 
 def point_of(board: Target, vertex: int | None) -> Floats:

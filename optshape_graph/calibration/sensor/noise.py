@@ -12,6 +12,9 @@ from optshape_graph.calibration.sensor.graph import Joint
 from optshape_graph.calibration.sensor.seen import Seen
 from optshape_graph.edges import azimuth_spacing, relative_azimuth
 
+NEAR = 6.0
+"""Distance, metres, up to which boards show smooth errors along rings: there these are largest, and rings long."""
+
 LONGEST_GAP = 3
 """Firings between two returns of a ring at most, that their distance in azimuth is counted in."""
 
@@ -35,6 +38,8 @@ class Sampling(Value):
             have no times of points, or rings fire at once.
         firing_sd: (R,) of them, seconds; None likewise.
         firing_period: seconds in which the sensor turns by an azimuth step; None likewise.
+        smooth_noise: noise that would bend rings along themselves as much as they are bent on near boards, metres;
+            None: no board was near.
     """
 
     range_noise: float
@@ -44,6 +49,18 @@ class Sampling(Value):
     firing_times: Floats | None = None
     firing_sd: Floats | None = None
     firing_period: float | None = None
+    smooth_noise: float | None = None
+
+    def noise_over(self, given: float) -> float:
+        """Return the noise of a range that a file is to state, metres: what poses take for independent.
+
+        It is what returns within rings show, but less than was given only as far as smooth errors along rings allow.
+
+        Args:
+            given: what the file stated, metres.
+        """
+        least = given if self.smooth_noise is None else min(given, self.smooth_noise)
+        return max(self.range_noise, least)
 
 
 def sampling(seen: Sequence[Seen], n_rings: int) -> Sampling:
@@ -56,9 +73,11 @@ def sampling(seen: Sequence[Seen], n_rings: int) -> Sampling:
     noise = np.array([one.noise for one in seen])
     steps = np.array([step for one in seen if (step := _step(one)) is not None])
     root = np.sqrt(len(noise))
+    near = [one.smooth for one in seen if np.isfinite(one.smooth) and one.distance < NEAR]
     found = Sampling(
         float(np.median(noise)), float(1.25 * noise.std() / root),
         float(np.median(steps)), float(1.25 * steps.std() / np.sqrt(len(steps))),
+        smooth_noise=float(np.sqrt(np.mean(np.square(near)))) if near else None,
     )  # fmt: skip
     times = _firing_times(seen, n_rings, found.azimuth_step)
     if times is None:

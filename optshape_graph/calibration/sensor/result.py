@@ -125,6 +125,7 @@ class SensorCalibration(Calibration):
             "edge_offset_sd": self.sensor.edge_offset_sd,
             "range_noise_m": sampling.range_noise,
             "range_noise_sd_m": sampling.range_noise_sd,
+            "smooth_noise_m": sampling.smooth_noise,
             "range_drift_m": self.drift,
             "azimuth_step_deg": float(np.degrees(sampling.azimuth_step)),
             "azimuth_step_sd_deg": float(np.degrees(sampling.azimuth_step_sd)),

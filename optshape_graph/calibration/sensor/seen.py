@@ -37,7 +37,6 @@ from optshape_graph.factors import (
 from optshape_graph.factors.plane_returns import PlaneReturns, plane_measurement
 from optshape_graph.factors.static import angle_errors
 from optshape_graph.pose.ends import (
-    DAMPING,
     EdgeGeometry,
     Problem,
     residual_intervals,
@@ -48,6 +47,12 @@ from optshape_graph.pose.options import PoseOptions
 from optshape_graph.scan import Scan
 from optshape_graph.se3 import vec, vec_derivative
 from optshape_graph.target import Target
+
+BENDS = 3
+"""Polynomials along a ring, from its slope on, in which smooth errors are looked for."""
+
+LONG = 8
+"""Returns of a ring from which on they are."""
 
 ODD = 3.5
 """Standard deviations from where ring ends may be, lost returns included, beyond which an end counts for nothing."""
@@ -66,6 +71,8 @@ class Seen(Value):
         returns: the same, each for itself.
         ring: (N,) of these returns.
         noise: standard deviation of ranges within rings, metres.
+        smooth: noise of ranges, metres, that would bend rings along themselves as much as they are bent; NaN: they are
+            too short to tell. With white noise it is the same.
         labels: (M,) edge of each ring end.
         odd: (M,) whether it counts for nothing: far from any place that a last return may be at, it is a stray, or of
             something else.
@@ -81,6 +88,7 @@ class Seen(Value):
     returns: PlaneReturns
     ring: Ints
     noise: float
+    smooth: float
     labels: Ints
     odd: Bools
     precision: Floats
@@ -121,10 +129,16 @@ class Seen(Value):
         g = problem.geometry(T_target_lidar[None])
         precision = 1.0 / (_own(g) + g.along[0] ** 2 * problem.edges.width**2 / 12)
         information = -precision * problem.edges.middle * g.along[0]
+        smooth = _smooth(rest, found.scan.ring[usual])
         return cls(
             found.scan, target, placement, problem, plane_measurement(returns), returns, found.scan.ring[usual],
-            noise / cosine, g.labels[0], np.zeros(len(precision), dtype=bool), precision, information,
+            noise / cosine, smooth / cosine, g.labels[0], np.zeros(len(precision), dtype=bool), precision, information,
         )  # fmt: skip
+
+    @property
+    def distance(self) -> float:
+        """From the sensor, metres."""
+        return float(np.linalg.norm(self.scan.points.mean(axis=0)))
 
     def drifting(self, drift: float) -> Self:
         """Return it with a range bias of each ring that is the placement's own.
@@ -198,7 +212,9 @@ class Seen(Value):
         rings, column = np.unique(self.ring, return_inverse=True)
         return rings, np.bincount(column, residual / cosine) / np.bincount(column)
 
-    def updated(self, T_target_lidar: Floats, place: Ints, beta: Floats, covariance: Floats, undecided: bool) -> Seen:
+    def updated(
+        self, T_target_lidar: Floats, place: Ints, beta: Floats, covariance: Floats, undecided: bool, step: float
+    ) -> Seen:
         """Return it with its Gaussians made again.
 
         Args:
@@ -208,6 +224,7 @@ class Seen(Value):
             covariance: (6 + k, 6 + k) of the right perturbation of the pose, rad and metres, and of the errors.
             undecided: whether rings may leave by another edge now, and ends become odd or cease to be: of two that
                 each make the other odd, one by one would go on for ever.
+            step: how far each Gaussian goes to where it belongs, 0 to 1.
         """
         rows = self.rows(T_target_lidar)
         g = rows.geometry
@@ -221,7 +238,6 @@ class Seen(Value):
         site = update_sites(
             prediction, variance, _own(g), (lower, upper, log_density), self.precision, self.information
         )
-        step = DAMPING if undecided else DAMPING / 2  # a Gaussian could swing about where it belongs
         precision = self.precision + step * (site.precision - self.precision)
         information = self.information + step * (site.information - self.information)
         seen, odd = site.cavity_variance + _own(g), self.odd
@@ -259,6 +275,21 @@ class EdgeRows(Value):
     constant: Floats
     errors: tuple[SharedError, ...]
     geometry: EdgeGeometry
+
+
+def _smooth(rest: Floats, ring: Ints) -> float:
+    """Root mean square of what rings are bent by along themselves, metres, each bend as long as one return's noise.
+
+    Args:
+        rest: (N,) distances off the board and the rings' middles, metres, ring by ring, each from the left.
+        ring: (N,) of each.
+    """
+    squares = []
+    for part in np.split(rest, np.flatnonzero(np.diff(ring)) + 1):
+        if len(part) >= LONG:
+            bends = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(part)), BENDS))[0][:, 1:]
+            squares.append((bends.T @ part) ** 2)
+    return float(np.sqrt(np.mean(squares))) if squares else float("nan")
 
 
 def _own(g: EdgeGeometry) -> Floats:

@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from optshape_graph._arrays import Value
+from optshape_graph.calibration.camera.scans import relative_to
 from optshape_graph.calibration.sensor.known import Distance, point_of
 from optshape_graph.errors import EstimationError, InputError
 from optshape_graph.io.recordings import Recording
@@ -104,6 +105,7 @@ class Opened(Value):
             a, b = distance.a[0], distance.b[0]
             if not any(a in scene and b in scene for scene in self._scenes()):
                 raise InputError(f"distance between '{a}' and '{b}': no scan is said to show both at once")
+            self._check_scan(distance.scan)
         captured = [one for one in self.sources if isinstance(one, Session) and one.mocap is not None]
         named = {name for session in captured for name in session.targets}
         if len(named) > 1:
@@ -119,6 +121,12 @@ class Opened(Value):
             for view in one.views:
                 if view.scan is not None and view.target_points is None:
                     raise InputError(f"{view.where}: the view has no 'target_points', which were asked for")
+
+    def _check_scan(self, name: str) -> None:
+        sessions = [one for one in self.sources if isinstance(one, Session)]
+        names = [relative_to(session, cloud) for session in sessions for cloud in scans_of(session)]
+        if name and len(sessions) == len(self.sources) and name not in names:
+            raise InputError(f"distance in scan '{name}': no scan is called that; found {', '.join(names[:3])}, ...")
 
     def _scenes(self) -> Iterator[Mapping[str, Target]]:
         """The boards that may stand in one scan, by their names: of each cloud, and of each recording."""

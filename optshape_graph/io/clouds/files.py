@@ -16,7 +16,7 @@ from optshape_graph.io.clouds.columns import Columns
 from optshape_graph.io.clouds.npz import read_npy, read_npz
 from optshape_graph.io.clouds.pcd import read_pcd, write_pcd
 from optshape_graph.io.clouds.ply import read_ply
-from optshape_graph.io.clouds.scans import make_scan
+from optshape_graph.io.clouds.scans import use_up
 from optshape_graph.io.clouds.text import read_csv
 from optshape_graph.io.files import read_bytes, read_head
 from optshape_graph.scan import Scan
@@ -109,7 +109,7 @@ def read_scan(
         MissingExtraError: the library for LAS or E57 is absent.
     """
     expect("path", path, str, Path)
-    return make_scan(read_columns(path, columns), sensor, unused=unused)
+    return use_up(read_columns(path, columns), sensor, unused=unused)
 
 
 def write_scan(path: str | Path, scan: Scan) -> None:

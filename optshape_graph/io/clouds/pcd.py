@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import logging
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.io.clouds.columns import Columns
 from optshape_graph.io.clouds.lzf import lzf_decompress
 from optshape_graph.io.clouds.text import parse_table
-from optshape_graph.io.files import read_bytes, write_atomically
+from optshape_graph.io.files import open_bounded, write_atomically
 
 _LOG = logging.getLogger(__name__)
 _KEYS = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
@@ -26,6 +26,8 @@ _TYPES = {(k, n): f"<{k.lower()}{n}" for k, sizes in (("F", "48"), ("I", "1248")
 _NO_VIEWPOINT = ["0", "0", "0", "1", "0", "0", "0"]
 """Translation and quaternion, w first."""
 _LARGEST_HEADER = 1 << 16
+_BLOCK = 1 << 14
+"""Points that are read at once."""
 _LARGEST_POINT = 1 << 16
 """Bytes that a point has at most; the largest descriptors of the library have a few thousand."""
 
@@ -38,28 +40,29 @@ def read_pcd(path: str | Path) -> Columns:
     Raises:
         InputError: not readable, not a PCD file, or a header that is inconsistent or does not fit the data.
     """
-    data = read_bytes(path)
-    header, body = _split_header(path, data)
-    dtype = _point_type(path, header)
-    if "WIDTH" not in header and "POINTS" in header:
-        header["WIDTH"] = header["POINTS"]
-    width, height = _integer(path, header, "WIDTH"), _integer(path, header, "HEIGHT", 1)
-    points = _integer(path, header, "POINTS", width * height)
-    if points != width * height:
-        _fail(path, f"the header says {points} points, but {width} x {height} of them")
-    _check_viewpoint(path, header.get("VIEWPOINT", _NO_VIEWPOINT))
-    match header["DATA"]:
-        case ["ascii"]:
-            first = bytes(data[: len(data) - len(body)]).count(b"\n") + 1
-            table = parse_table(path, body, dtype, points, first_line=first)
-        case ["binary"]:
-            table = _parse_binary(path, body, dtype, points)
-        case ["binary_compressed"]:
-            table = _parse_compressed(path, body, dtype, points)
-        case other:
-            _fail(path, f"DATA is {' '.join(other)!r}, expected ascii, binary or binary_compressed")
-    columns = {name: table[name] for name in dtype.names or () if not name.startswith("_")}
-    return Columns(columns, height, str(path))
+    with open_bounded(path) as (stream, size):
+        header, begin = _read_header(path, stream)
+        dtype = _point_type(path, header)
+        if "WIDTH" not in header and "POINTS" in header:
+            header["WIDTH"] = header["POINTS"]
+        width, height = _integer(path, header, "WIDTH"), _integer(path, header, "HEIGHT", 1)
+        points = _integer(path, header, "POINTS", width * height)
+        if points != width * height:
+            _fail(path, f"the header says {points} points, but {width} x {height} of them")
+        _check_viewpoint(path, header.get("VIEWPOINT", _NO_VIEWPOINT))
+        match header["DATA"]:
+            case ["ascii"]:
+                lines = stream.read(begin).count(b"\n")
+                table = parse_table(path, memoryview(stream.read()), dtype, points, first_line=lines + 1)
+            case ["binary"]:
+                stream.seek(begin)
+                return Columns(_read_binary(path, stream, size - begin, dtype, points), height, str(path))
+            case ["binary_compressed"]:
+                stream.seek(begin)
+                table = _parse_compressed(path, memoryview(stream.read()), dtype, points)
+            case other:
+                _fail(path, f"DATA is {' '.join(other)!r}, expected ascii, binary or binary_compressed")
+    return Columns({name: table[name] for name in _named(dtype)}, height, str(path))
 
 
 def write_pcd(path: str | Path, columns: dict[str, NDArray[Any]]) -> None:
@@ -97,11 +100,12 @@ def _fail(path: str | Path, problem: str) -> NoReturn:
     raise InputError(f"{path}: not a usable PCD file: {problem}")
 
 
-def _split_header(path: str | Path, data: bytes) -> tuple[dict[str, list[str]], memoryview]:
-    """Return the entries of the header by keyword, and the bytes after the line of DATA."""
+def _read_header(path: str | Path, stream: BinaryIO) -> tuple[dict[str, list[str]], int]:
+    """Return the entries of the header by keyword, and where the line after DATA begins; the stream is at its start."""
     header: dict[str, list[str]] = {}
-    stream = io.BytesIO(data[:_LARGEST_HEADER])
-    for raw in stream:
+    head = io.BytesIO(stream.read(_LARGEST_HEADER))
+    stream.seek(0)
+    for raw in head:
         words = raw.decode("latin-1").split()
         if not words or words[0].startswith("#"):
             continue
@@ -112,8 +116,13 @@ def _split_header(path: str | Path, data: bytes) -> tuple[dict[str, list[str]], 
             _fail(path, f"expected one of the keywords {', '.join(_KEYS)}, found {words[0][:40]!r}")
         header["FIELDS" if key == "COLUMNS" else key] = words[1:]
         if key == "DATA":
-            return header, memoryview(data)[stream.tell() :]
+            return header, head.tell()
     _fail(path, "its header has no line 'DATA ...'")
+
+
+def _named(dtype: np.dtype[Any]) -> list[str]:
+    """Return the names of the fields that are no padding."""
+    return [name for name in dtype.names or () if not name.startswith("_")]
 
 
 def _check_viewpoint(path: str | Path, words: list[str]) -> None:
@@ -158,22 +167,48 @@ def _point_type(path: str | Path, header: dict[str, list[str]]) -> np.dtype[Any]
         name = f"_{i}" if name == "_" or name in names[:i] else name
         parts.append((name, code) if count == "1" else (name, code, (int(count),)))
     dtype = np.dtype(parts)
+    if not dtype.itemsize:
+        _fail(path, f"its fields ({' '.join(names)[:60]}) have no values; expected a COUNT of 1 or more")
     if dtype.itemsize > _LARGEST_POINT:
         _fail(path, f"a point of {dtype.itemsize} bytes; expected at most {_LARGEST_POINT}")
     return dtype
 
 
-def _parse_binary(path: str | Path, body: memoryview, dtype: np.dtype[Any], points: int) -> NDArray[Any]:
-    """Return the points. Less than a point may follow them, or zeros: PCL 1.7 and 1.8 fill a page with these."""
-    extra = len(body) - points * dtype.itemsize
-    padded = extra >= 0 and not np.frombuffer(body, np.uint8, offset=points * dtype.itemsize).any()
-    if not (0 <= extra < dtype.itemsize or padded):
+def _read_binary(
+    path: str | Path, stream: BinaryIO, length: int, dtype: np.dtype[Any], points: int
+) -> dict[str, NDArray[Any]]:
+    """Return the fields of the points that a stream has next, read block by block, so that nothing is there twice.
+
+    Less than a point may follow them, or zeros: PCL 1.7 and 1.8 fill a page with these.
+    """
+    extra = length - points * dtype.itemsize
+    columns: dict[str, NDArray[Any]] = {}
+    if extra >= 0:  # or memory would be allocated for what the header promises
+        columns = {name: np.empty((points, *dtype[name].shape), dtype[name].base) for name in _named(dtype)}
+        for first in range(0, points, _BLOCK):
+            n = min(_BLOCK, points - first)
+            raw = stream.read(n * dtype.itemsize)
+            if len(raw) < n * dtype.itemsize:  # it was cut short meanwhile
+                extra = first * dtype.itemsize + len(raw) - points * dtype.itemsize
+                break
+            block = np.frombuffer(raw, dtype)
+            for name, values in columns.items():
+                values[first : first + n] = block[name]
+    if not (0 <= extra < dtype.itemsize or (extra >= 0 and _zeros(stream))):
         _fail(
             path,
             f"the header promises {points} points of {dtype.itemsize} bytes, {points * dtype.itemsize} in all; "
-            f"{len(body)} bytes follow it",
+            f"{points * dtype.itemsize + extra} bytes follow it",
         )
-    return np.frombuffer(body, dtype, points)
+    return columns
+
+
+def _zeros(stream: BinaryIO) -> bool:
+    """Return whether all that a stream has left is zeros."""
+    while piece := stream.read(1 << 20):
+        if any(piece):
+            return False
+    return True
 
 
 def _parse_compressed(path: str | Path, body: memoryview, dtype: np.dtype[Any], points: int) -> NDArray[Any]:

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from optshape_graph._arrays import Floats, Ints
 from optshape_graph.errors import AnotherSensorError, InputError
+from optshape_graph.groups import Groups
+from optshape_graph.scan import elevations_of
 from optshape_graph.sensor import SensorModel
 
 _LOG = logging.getLogger(__name__)
@@ -77,7 +79,7 @@ def rings_of_ids(points: Floats, ids: Ints, sensor: SensorModel | None, name: st
     inverse = beam[ids[sample]]
     counts = np.bincount(inverse)
     some = points[sample]
-    elevation = _elevations(some)
+    elevation = elevations_of(some)
     if not _are_level(elevation, inverse):
         if sensor is not None:
             raise _misfit(name, sensor, "the returns of one beam are at many elevations")
@@ -102,7 +104,7 @@ def rings_of_elevations(points: Floats, sensor: SensorModel, name: str) -> Ints:
     Raises:
         InputError: the sensor's table does not fit the elevations.
     """
-    elevation = _elevations(points)
+    elevation = elevations_of(points)
     ring = sensor.nearest_ring(elevation)
     misfit = np.abs(elevation - sensor.elevations[ring])
     excess = misfit - _free_tolerance(ring, np.linalg.norm(points, axis=1), sensor)
@@ -136,7 +138,7 @@ def rings_by_firing(points: Floats, sensor: SensorModel | None, name: str) -> In
     direction = float(np.sign(np.median(step[step != 0]))) if step.any() else 0.0
     if direction == 0:
         return None
-    elevation = _elevations(points)
+    elevation = elevations_of(points)
     sweeps = []
     for start in (
         0.0,
@@ -172,15 +174,10 @@ def _sample(ids: Ints) -> slice | NDArray[np.intp]:
     return np.append(evenly, first[first >= 0])
 
 
-def _elevations(points: Floats) -> Floats:
-    return np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
-
-
 def _medians(values: Floats, group: NDArray[np.intp], n: int) -> Floats:
     """Return the median (n,) of the values of each group."""
     order = np.argsort(group.astype(np.uint16), kind="stable")  # of 16 bits: counted, not compared
-    parts = np.split(values[order], np.cumsum(np.bincount(group, minlength=n))[:-1])
-    return np.array([np.median(part) for part in parts])
+    return Groups(np.bincount(group, minlength=n)).median(values[order])
 
 
 def _scatter(elevation: Floats, group: NDArray[np.intp]) -> float:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections import Counter
+from collections.abc import Iterable
+from dataclasses import replace
 from types import NoneType
 from typing import Any
 
@@ -29,7 +31,6 @@ NOISE_TAGS = 0b0101
 """Bits of Livox's tag that mark noise, by the position of a return among others and by its intensity."""
 
 
-@np.errstate(invalid="ignore", over="ignore")  # for signalling NaNs and absurd numbers in a file
 def make_scan(
     columns: Columns,
     sensor: SensorModel | None = None,
@@ -61,8 +62,29 @@ def make_scan(
         InputError: no returns, columns of different lengths, millimetres, map coordinates, rings that are not integers,
             a sensor that is no SensorModel, or whose table does not fit the elevations.
     """
+    return use_up(replace(columns, values=dict(columns.values)), sensor, stamp, unused)
+
+
+@np.errstate(invalid="ignore", over="ignore")  # for signalling NaNs and absurd numbers in a file
+def use_up(
+    columns: Columns,
+    sensor: SensorModel | None = None,
+    stamp: float | None = None,
+    unused: Counter[str] | None = None,
+) -> Scan:
+    """Make a scan as `make_scan` does, and take the columns out that became part of it: none is in memory twice.
+
+    Args:
+        columns: a file's, of which nobody else has need.
+        sensor: as for `make_scan`.
+        stamp: as for `make_scan`.
+        unused: as for `make_scan`.
+
+    Raises:
+        InputError: as `make_scan`.
+    """
     expect("sensor", sensor, SensorModel, NoneType)
-    name = columns.name
+    name, names = columns.name, (*columns.values, *columns.left_out)
     try:
         known = roles(columns.values)
     except InputError as error:
@@ -80,7 +102,7 @@ def make_scan(
         if role not in known:
             return None
         key = known[role].column
-        values = columns.values[key]
+        values = columns.values.pop(key)
         if values.ndim != 1 and values.size != recorded:
             return None  # a matrix, or one number, beside the cloud
         if values.size != recorded or values.dtype.kind not in "iufb":
@@ -102,7 +124,7 @@ def make_scan(
         if seconds is None:
             _LOG.warning("%s: times of points that are not times; read without them", name)
     if unused is not None:
-        unused.update(unused_columns(columns, known, seconds is not None))
+        unused.update(unused_columns(names, known, seconds is not None))
     scan = Scan(
         owned(points, np.float64),
         owned(ring, np.int64),
@@ -114,7 +136,7 @@ def make_scan(
     return put_right(scan)
 
 
-def unused_columns(columns: Columns, known: dict[str, Role], with_times: bool) -> list[str]:
+def unused_columns(names: Iterable[str], known: dict[str, Role], with_times: bool) -> list[str]:
     """Return the names of columns that do not go into the scan."""
     tags = is_livox(known)
     used = {
@@ -122,7 +144,7 @@ def unused_columns(columns: Columns, known: dict[str, Role], with_times: bool) -
         for what, role in known.items()
         if (what != "time" or with_times) and (what != "tag" or tags) and (what != "xyz" or "x" not in known)
     }
-    return [name for name in (*columns.values, *columns.left_out) if name not in used]
+    return [name for name in names if name not in used]
 
 
 def is_livox(known: dict[str, Role]) -> bool:
@@ -164,10 +186,10 @@ def _without_noise(known: dict[str, Role], columns: Columns, there: Bools) -> Bo
 
 
 def _points(known: dict[str, Role], columns: Columns) -> Floats:
-    """Return a copy of the points (N, 3), metres."""
+    """Take the columns of the points out, and return a copy of these (N, 3), metres."""
     values, name = columns.values, columns.name
     if {"x", "y", "z"} <= known.keys():
-        axes = [values[known[axis].column].reshape(-1) for axis in "xyz"]
+        axes = [values.pop(known[axis].column).reshape(-1) for axis in "xyz"]
         if len({len(axis) for axis in axes}) > 1 or any(axis.dtype.kind not in "iuf" for axis in axes):
             raise InputError(f"{name}: expected x, y, z as numbers, as many of each")
         points = np.empty((len(axes[0]), 3))
@@ -180,7 +202,7 @@ def _points(known: dict[str, Role], columns: Columns) -> Floats:
         found = ", ".join(list(values)[:24]) or "none"
         raise InputError(f"{name}: expected columns x, y, z, or one of N x 3 called xyz or points; found: {found}")
     key = known["xyz"].column
-    rows = values[key]
+    rows = values.pop(key)
     if rows.ndim < 2 or rows.shape[-1] != 3 or rows.dtype.kind not in "iuf":
         raise InputError(f"{name}: '{key}' is {rows.dtype} of shape {rows.shape}, expected N x 3 numbers")
     return rows.reshape(-1, 3).astype(np.float64) * _scale(known["xyz"])

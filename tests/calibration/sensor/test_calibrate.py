@@ -12,16 +12,19 @@ from gtsam.symbol_shorthand import H
 
 from optshape_graph import EstimationError, InputError, SensorCalibration
 from optshape_graph.calibration.sensor import Distance, Sighting, calibrate_placements, gather
+from optshape_graph.calibration.sensor.calibrate import _turns as turns_of
 from optshape_graph.calibration.sensor.graph import solve
 from optshape_graph.calibration.sensor.known import distance_factor, known_beside
+from optshape_graph.calibration.sensor.noise import sampling
 from optshape_graph.calibration.sensor.placements import placed as of_runs
 from optshape_graph.calibration.sensor.placements import runs_of
 from optshape_graph.calibration.sensor.rest import at_rest
 from optshape_graph.calibration.sensor.seen import Seen
 from optshape_graph.io import load_sensor, load_target, save_sensor
-from optshape_graph.pose import estimate_pose
+from optshape_graph.pose import PoseEstimate, estimate_pose
 from optshape_graph.scan import put_right
 from optshape_graph.se3 import apply, exp, inverse
+from optshape_graph.simulation import pose_from_rpy
 from tests.calibration.sensor.units import Unit, placed, sightings
 from tests.io.schema_support import complaint
 
@@ -207,6 +210,68 @@ def test_distances_to_what_was_not_seen(seen: list[Sighting]) -> None:
     for a, b, message in (("paper", "round", "was not seen"), ("paper/9", "square", "vertices 0 to 3")):
         with pytest.raises(InputError, match=message):
             known_beside(placements, [Distance.parsed(a, b, 2.0)])
+
+
+def test_a_distance_holds_where_boards_stood_that_far_apart(unit: Unit) -> None:
+    """Of three ways in which they stood, one fits; or none; or two that differ by more than their covariances."""
+    rng = np.random.default_rng(21)
+    seen = []
+    for moment, apart in enumerate((0.0, 0.5, 0.1)):
+        for name, T in (
+            ("paper", pose_from_rpy([3.0 + apart, 0.0, 0.0], [0.4, 0.1, 0.1])),
+            ("square", pose_from_rpy([-3.5, 0.0, 0.0], [0.5, 0.1, np.pi + 0.1])),
+        ):
+            seen.append(_seen_at(unit, name, T, moment, rng))
+    placements = gather(seen)
+    assert len(placements) == 6 - 2  # the square stays
+    known = known_beside(placements, [Distance.parsed("paper", "square", 7.0)])
+    assert known.factors.size() == 1
+    with pytest.raises(InputError, match=r"measured 9 m apart; .* are 6\.\d+ m apart at best"):
+        known_beside(placements, [Distance.parsed("paper", "square", 9.0)])
+    with pytest.raises(InputError, match=r"more than one way in which they stood fits, .* name the scan: 6\.55@0"):
+        known_beside(placements, [Distance.parsed("paper", "square", 6.55)])
+    known = known_beside(placements, [Distance.parsed("paper", "square", "6.55@2")])
+    assert list(known.factors.at(0).keys()) == [H(3), H(1)]
+
+
+def test_what_is_left_out_in_turn(seen: list[Sighting]) -> None:
+    """Moments of one session, or of several of which one has most; else sessions."""
+    placements = gather(replace(seen[0], moment=k, place=k, estimate=_aside(seen[0], k)) for k in range(9))
+    thirds = [{0, 3, 6}, {1, 4, 7}, {2, 5, 8}]
+    assert turns_of(placements, ()) == turns_of(placements, [range(9)]) == thirds
+    assert turns_of(placements, [range(7), range(7, 9)]) == thirds
+    assert turns_of(placements, [range(6), range(6, 9)]) == [set(range(6)), {6, 7, 8}]
+    assert turns_of(placements, [range(3), range(3, 5), range(5, 8), range(8, 9)]) == [{0, 1, 2, 8}, {3, 4}, {5, 6, 7}]
+
+
+def _aside(one: Sighting, k: int) -> PoseEstimate:
+    return replace(one.estimate, T_lidar_target=exp(np.array([0.3 * k, 0, 0, 0, 0, 0])) @ one.estimate.T_lidar_target)
+
+
+@pytest.mark.parametrize("bent", [0.0, 0.02])
+def test_noise_is_lowered_as_far_as_rings_are_straight(unit: Unit, seen: list[Sighting], bent: float) -> None:
+    """From the 2 cm of a file to the 1 cm of returns; but not if each ring is bent along itself, its own way."""
+    rng = np.random.default_rng(22)
+    given = replace(unit.sensor, range_noise=0.02)
+    views = []
+    for one in seen:
+        scan, ring = one.returns, one.returns.ring
+        assert ring is not None
+        azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
+        middle = np.bincount(ring, azimuth, 16) / np.bincount(ring, minlength=16).clip(1)
+        wave = np.sin(40 * (azimuth - middle[ring])) * (bent * rng.normal(size=16))[ring]
+        away = scan.points / np.linalg.norm(scan.points, axis=1, keepdims=True)
+        wavy = replace(scan, points=scan.points + wave[:, None] * away, sensor=given)
+        views.append(Seen.of(wavy, one.estimate.target, 0, one.estimate.T_target_lidar))
+    sampled = sampling(views, 16)
+    assert sampled.smooth_noise is not None
+    if bent:
+        assert sampled.smooth_noise > 0.03
+        assert sampled.noise_over(0.02) == pytest.approx(0.02, abs=0.004)
+    else:
+        assert sampled.smooth_noise == pytest.approx(0.01, rel=0.1)
+        assert sampled.noise_over(0.02) == pytest.approx(0.01, rel=0.1)
+    assert replace(sampled, smooth_noise=None).noise_over(0.05) == 0.05
 
 
 def test_too_few_placements(seen: list[Sighting], unit: Unit) -> None:

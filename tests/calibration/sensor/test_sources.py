@@ -32,7 +32,7 @@ def recording(tmp_path: Path) -> Recording:
 
 def test_targets_are_called_as_the_session_calls_them() -> None:
     opened = Opened.of([session()], (), None)
-    opened.check([Distance.parsed("left", "right/2", 3.0)], False)
+    opened.check([Distance.parsed("left", "right/2", 3.0), Distance.parsed("left", "right", "3@7.pcd")], False)
     assert isinstance(opened.sources[0], Session)
     assert {name: target.name for name, target in opened.sources[0].targets.items()} == {
         "left": "left",
@@ -41,16 +41,17 @@ def test_targets_are_called_as_the_session_calls_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("a", "b", "message"),
+    ("a", "b", "metres", "message"),
     [
-        ("paper", "right", "no board is called that; found left, right"),
-        ("left/9", "right", "has vertices 0 to 3; found 9"),
-        ("left/0", "left/1", "between two boards"),
+        ("paper", "right", "3", "no board is called that; found left, right"),
+        ("left/9", "right", "3", "has vertices 0 to 3; found 9"),
+        ("left/0", "left/1", "3", "between two boards"),
+        ("left", "right", "3@9.pcd", "no scan is called that; found 0.pcd, 1.pcd, 2.pcd"),
     ],
 )
-def test_distances_that_cannot_be(a: str, b: str, message: str) -> None:
+def test_distances_that_cannot_be(a: str, b: str, metres: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        Opened.of([session()], (), None).check([Distance.parsed(a, b, 3.0)], False)
+        Opened.of([session()], (), None).check([Distance.parsed(a, b, metres)], False)
 
 
 def test_boards_of_which_no_view_shows_both() -> None:

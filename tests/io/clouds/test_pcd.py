@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import struct
 import tracemalloc
 from pathlib import Path
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from optshape_graph import InputError
+from optshape_graph.io.clouds import read_scan
 from optshape_graph.io.clouds.pcd import read_pcd, write_pcd
 from tests.io.clouds.test_lzf import compress
 from tests.io.refusal import read_or_refused
@@ -208,3 +210,35 @@ def test_padding_and_fields_that_others_write(tmp_path: Path, caplog: pytest.Log
     assert "field 'x' is there twice" in caplog.text
     path.write_bytes(pcd(CLOUD, body="\n".join(" ".join(f"{float(v)}" for v in row) for row in CLOUD).encode()))
     assert read_pcd(path).values["ring"].tolist() == CLOUD["ring"].tolist()
+
+
+def test_blocks_padding_and_a_pipe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """More points than a block has, zeros that fill a page, a field of two numbers; the same from a pipe."""
+    monkeypatch.setattr("optshape_graph.io.clouds.pcd._BLOCK", 7)
+    table = np.zeros(25, [("x", "<f4"), ("_", "u1", (3,)), ("n", "<u2", (2,))])
+    table["x"], table["n"] = np.arange(25), np.arange(50).reshape(25, 2)
+    path = tmp_path / "a.pcd"
+    path.write_bytes(pcd(table, "binary", COUNT="1 3 2") + bytes(100))
+    reading, writing = os.pipe()
+    os.write(writing, path.read_bytes())
+    os.close(writing)
+    for found in (read_pcd(path), read_pcd(f"/dev/fd/{reading}")):
+        assert list(found.values) == ["x", "n"]
+        for name, values in found.values.items():
+            np.testing.assert_array_equal(values, table[name])
+    os.close(reading)
+    path.write_bytes(path.read_bytes()[:-102])  # of the last point, two bytes are missing
+    with pytest.raises(InputError, match=r"25 points of 11 bytes, 275 in all; 273 bytes follow it"):
+        read_pcd(path)
+
+
+def test_a_cloud_is_never_in_memory_twice(tmp_path: Path) -> None:
+    """2.2 times the file is what a scan holds; the file's bytes beside it would make 3.2."""
+    n = 100_000
+    columns = {name: np.linspace(1, 2, n, dtype="<f4") for name in ("x", "y", "z", "intensity", "time")}
+    write_pcd(tmp_path / "a.pcd", columns | {"ring": (np.arange(n) % 64).astype("<u2")})
+    tracemalloc.start()
+    read_scan(tmp_path / "a.pcd")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak <= 3 * (tmp_path / "a.pcd").stat().st_size + (2 << 20)  # a sample of the rings, of any large cloud

@@ -78,6 +78,13 @@ def test_written_is_read_back(tmp_path_factory: pytest.TempPathFactory, points: 
         assert found.time is None
 
 
+def test_the_columns_that_were_given_stay() -> None:
+    given = columns(ring=[7, 8, 9], time=[0.0, 0.1, 0.2])
+    names = list(given.values)
+    make_scan(given, VLP16)
+    assert list(given.values) == names
+
+
 def test_rings_are_written_and_read_back(tmp_path: Path) -> None:
     scan = make_scan(columns(ring=[7, 8, 9]), VLP16)
     write_scan(tmp_path / "a.pcd", scan)
