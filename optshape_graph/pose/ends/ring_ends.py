@@ -264,7 +264,7 @@ class RingEnds(Value):
 
     @cached_property
     def laid_out(self) -> tuple[Ints, list[NDArray[Any]]]:
-        """Ring ends as the compiled library has them, and the arrays that it holds."""
+        """(K,) counts, and addresses of arrays, numbers, as the compiled library has them; and these arrays."""
         arrays = [np.ascontiguousarray(getattr(self, name)) for name in _LAID_OUT]
         counts = (*self.there.shape, self.normals.shape[1], self.by_shift.shape[2], self.silent.shape[1])
         return structure(*counts, *arrays), arrays
