@@ -59,7 +59,7 @@ def address(array: NDArray[Any]) -> int:
 
 
 def structure(*fields: float | NDArray[Any]) -> Ints:
-    """Lay out K whole numbers, numbers, and addresses of arrays (...) as a C structure has them, (K,) of 8 bytes each."""
+    """Lay out whole numbers, numbers, and addresses of arrays (...) as a C structure has them: (K,) of 8 bytes each."""
     laid = np.empty(len(fields), dtype=np.int64)
     numbers = laid.view(np.float64)
     for k, field in enumerate(fields):
