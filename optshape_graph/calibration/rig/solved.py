@@ -19,6 +19,7 @@ from optshape_graph.calibration.rig.graph import Options, RigGraph
 from optshape_graph.calibration.rig.judgement import (
     check_numbers,
     check_sensors,
+    scatter_of,
 )
 from optshape_graph.calibration.rig.moved import moved_about_platform, moved_before_platform
 from optshape_graph.calibration.rig.moving import Clocks, connect, solve_moving
@@ -37,6 +38,10 @@ from optshape_graph.se3 import inverse
 MANY = 0.2
 """Share of a sensor's sightings that contradict the others from which its stamps may be shifted, or its lens be
 another."""
+
+SCATTERED = 9.0
+"""Chi-square per degree of freedom of all sightings beyond which none of them stands out, and another lens may be why:
+it is if it makes the chi-square so many times less."""
 
 OPEN_M, OPEN = (0.005, 0.1), 1.5
 """Standard deviation, metres, of a camera's place for what its images leave open of its lens, from which it is said,
@@ -137,7 +142,7 @@ def _solve_rig(read: Read, session: Session, options: Options) -> SolvedRig:
 
 
 def _with_lenses_that_agree(graph: RigGraph) -> tuple[RigSolution, dict[int, str]]:
-    """Solve; where views of cameras contradict the others, and fewer would under other lenses, with those."""
+    """Solve; where views contradict each other, and fewer would under other lenses, or far less, with those."""
     cameras = frozenset(s.sensor for s in graph.start.sightings if isinstance(s.seen, TargetInImage))
     free = replace(graph, free_lenses=cameras)
     try:
@@ -146,10 +151,12 @@ def _with_lenses_that_agree(graph: RigGraph) -> tuple[RigSolution, dict[int, str
         if cameras == graph.free_lenses:
             raise
         return solve_robustly(free)
-    if cameras != graph.free_lenses and cameras & _contradicting(graph.start.sightings, left):
+    scatter = scatter_of(solved)[0]
+    doubtful = cameras & _contradicting(graph.start.sightings, left) or scatter > SCATTERED
+    if cameras != graph.free_lenses and doubtful:
         with suppress(EstimationError):
             other, fewer = solve_robustly(free)
-            if len(fewer) < len(left):
+            if len(fewer) < len(left) or SCATTERED * scatter_of(other)[0] < scatter:
                 return other, fewer
     return solved, left
 
