@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from optshape_graph._arrays import Ints
 from optshape_graph.compiled.build import LIBRARY, mark
 
-__all__ = ["address", "library", "structure"]
-
 _KINDS = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "d": ctypes.c_double}
 
 _FUNCTIONS = {

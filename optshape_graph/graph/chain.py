@@ -91,18 +91,13 @@ class Chains:
 
     Args:
         chains: the parts of each.
-
-    Attributes:
-        keys: the variables of each chain, in the order of their parts.
     """
 
-    def __init__(self, chains: Sequence[Chain]) -> None:
-        self.keys: list[list[int]] = [[] for _ in chains]
-        by_kinds: dict[str, list[int]] = defaultdict(list)
+    def __init__(self, chains: Sequence[Chain] = ()) -> None:
         merged = [_merged(chain) for chain in chains]
+        by_kinds: dict[str, list[int]] = defaultdict(list)
         for n, parts in enumerate(merged):
             by_kinds["".join(kind for kind, _ in parts)].append(n)
-            self.keys[n] = [int(part) for kind, part in parts if kind != "K"]
         self._alike = []
         for kinds, rows in by_kinds.items():
             columns = [[merged[n][j][1] for n in rows] for j in range(len(kinds))]
@@ -110,8 +105,26 @@ class Chains:
             known = [np.array(c if k == "K" else [], float) for k, c in zip(kinds, columns, strict=True)]
             self._alike.append(_Alike(np.array(rows), kinds, keys, known))
 
+    @classmethod
+    def between(cls, first: Ints, second: Ints) -> Chains:
+        """Return the chains X_a^-1 X_b of pairs of variables, a of `first` (m,) and b of `second` (m,): keys."""
+        chains, nothing = cls(), np.zeros(0)
+        if len(first):
+            chains._alike = [_Alike(np.arange(len(first)), "IX", [first, second], [nothing, nothing])]
+        return chains
+
+    @cached_property
+    def keys(self) -> list[list[int]]:
+        """The variables of each chain, in the order of their parts."""
+        found: list[list[int]] = [[] for _ in range(len(self))]
+        for alike in self._alike:
+            columns = [own.tolist() for own, kind in zip(alike.keys, alike.kinds, strict=True) if kind != "K"]
+            for n, keys in zip(alike.rows.tolist(), zip(*columns, strict=True), strict=bool(columns)):
+                found[n] = list(keys)
+        return found
+
     def __len__(self) -> int:
-        return len(self.keys)
+        return sum(len(alike.rows) for alike in self._alike)
 
     def at(self, state: State) -> Floats:
         """Return the poses (m, 4, 4) of all chains."""

@@ -78,30 +78,25 @@ def solve(
         while True:
             step = _step(linear, ordering, damping, values.dims())
             if step is not None:
+                promised = -0.5 * float(linear.gradientAtZero().dot(step))  # if the graph is linear
                 if damping == 0.0:
-                    undamped = _promised(linear, step)
+                    undamped = promised
                 moved = state.retract(step)
                 lower = [term.at(moved) for term in terms]
                 cost = _error(lower, others, moved)
                 if cost <= error * (1 + ROUNDING) + NEGLIGIBLE:
                     break
-                if damping <= SLIGHT_DAMPING and cost < error + CONVERGED and _promised(linear, step) < CONVERGED:
+                if damping <= SLIGHT_DAMPING and cost < error + CONVERGED and promised < CONVERGED:
                     return Solution(state, models, others, error, True, iterations, dict(names or {}))  # it is there
             damping = max(LEAST_DAMPING, 10 * damping)
             if damping > MOST_DAMPING or (undamped < NEAR and damping > SLIGHT_DAMPING):
                 return Solution(state, models, others, error, undamped < NEAR, iterations, dict(names or {}))
-        promised = _promised(linear, step)
         shrinks = min(max(promised / before, FASTEST), 1.0) if before else 1.0
         converged, before = promised * shrinks < CONVERGED and damping <= SLIGHT_DAMPING, promised
         state, models, error = moved, lower, cost
         damping = damping / 10 if damping > 10 * LEAST_DAMPING else 0.0
         iterations += 1
     return Solution(state, models, others, error, converged, iterations, dict(names or {}))
-
-
-def _promised(linear: gtsam.GaussianFactorGraph, step: gtsam.VectorValues) -> float:
-    """Decrease of the cost that a step makes if the graph is linear."""
-    return -0.5 * float(linear.gradientAtZero().dot(step))
 
 
 def _error(models: Sequence[Model], factors: gtsam.NonlinearFactorGraph, state: State) -> float:

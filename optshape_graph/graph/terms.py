@@ -71,11 +71,11 @@ class Templates(Value):
 
     @classmethod
     def of(
-        cls, measurements: Sequence[TemplateMeasurement], chains: Sequence[Chain], loss: float = np.inf
+        cls, measurements: Sequence[TemplateMeasurement], chains: Chains | Sequence[Chain], loss: float = np.inf
     ) -> Templates:
         """Return the term of measurements (m,) of T_target_lidar, and what that is made of (m,)."""
         return cls(
-            Chains(chains),
+            chains if isinstance(chains, Chains) else Chains(chains),
             np.array([m.L for m in measurements]).reshape(-1, 12, 12),
             np.array([m.b for m in measurements]).reshape(-1, 12),
             np.array([m.c**2 for m in measurements]),

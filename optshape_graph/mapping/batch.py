@@ -11,7 +11,7 @@ from optshape_graph.errors import InputError
 from optshape_graph.factors import SummaryFactor
 from optshape_graph.factors._rows import gaussian
 from optshape_graph.factors.static import RANGE_BIAS
-from optshape_graph.graph import Chains, SharedErrors, State, Templates, solve
+from optshape_graph.graph import SharedErrors, State, Templates, solve
 from optshape_graph.mapping.batch_solution import BatchSolution, Keys, Residual, pose_graph
 from optshape_graph.mapping.incremental_graph import LOSS
 from optshape_graph.mapping.shapes import AsBuilt
@@ -47,7 +47,6 @@ def solve_batch(
     as_built.insert(values)
     for prior in as_built.priors():
         factors.push_back(prior)
-    chains = [keys.chain(t, match) for t, match in problem.matches]
     biased = {
         k: measurement
         for k, (_, match) in enumerate(problem.matches)
@@ -56,14 +55,16 @@ def solve_batch(
     of_ranges = [m.without([error for error in m.shared if error.kind != RANGE_BIAS]) for m in biased.values()]
     shared = SharedErrors.of(
         of_ranges,
-        [chains[k] for k in biased],
+        [keys.chain(*problem.matches[k]) for k in biased],
         [keys.biases[problem.matches[k][0], problem.matches[k][1].sighting.lidar] for k in biased],
         loss,
     )
     shared.insert(values)
     taken = {*as_built.numbers, *biased}
-    plain = [k for k in range(len(chains)) if k not in taken]
-    alone = Templates.of([problem.matches[k][1].measurement for k in plain], [chains[k] for k in plain], loss)
+    plain = [k for k in range(len(problem.matches)) if k not in taken]
+    alone = Templates.of(
+        [problem.matches[k][1].measurement for k in plain], keys.chains([problem.matches[k] for k in plain]), loss
+    )
 
     solution = solve(values, [as_built, shared, alone], factors, keys.names(problem))
     models: Any = solution.models
@@ -81,7 +82,7 @@ def factor_graph(problem: MappingProblem) -> tuple[gtsam.NonlinearFactorGraph, g
     keys = Keys.of(problem)
     graph, values = _factors(problem, keys), _initial(problem, keys)
     loss = gtsam.noiseModel.mEstimator.Huber.Create(LOSS)
-    H = Chains([keys.chain(t, match) for t, match in problem.matches]).at(State.of(values))
+    H = keys.chains(problem.matches).at(State.of(values))
     for (t, match), T in zip(problem.matches, H, strict=True):
         k_target, k_lidar = keys.landmarks[match.landmark], keys.poses[t][match.pose]
         graph.push_back(SummaryFactor(match.measurement, k_target, k_lidar, T, loss))

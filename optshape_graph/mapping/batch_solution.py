@@ -66,6 +66,12 @@ class Keys(Value):
         """Return what T_target_lidar of a match is made of."""
         return [Inverse(self.landmarks[match.landmark]), self.poses[track][match.pose]]
 
+    def chains(self, matches: Sequence[tuple[int, Match]]) -> Chains:
+        """Return T_target_lidar of matches, each with the number of its track."""
+        landmarks = [self.landmarks[match.landmark] for _, match in matches]
+        poses = [self.poses[track][match.pose] for track, match in matches]
+        return Chains.between(np.array(landmarks, np.int64), np.array(poses, np.int64))
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Residual(Value):
@@ -189,7 +195,7 @@ class BatchSolution(Value):
         """What errors that each match took for its own add to the information vector, by match; see `persistent`."""
         system, numbers = self.solution.system, list(self.biased)
         matches = [self.problem.matches[k] for k in numbers]
-        relative = Chains([self.keys.chain(t, match) for t, match in matches]).at(self.solution.state)
+        relative = self.keys.chains(matches).at(self.solution.state)
         weights = [self.residuals[k].weight for k in numbers]
         for (t, match), measurement, H, weight in zip(matches, self.biased.values(), relative, weights, strict=True):
             own = [error for error in measurement.shared if error.kind != RANGE_BIAS]
