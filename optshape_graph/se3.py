@@ -188,7 +188,7 @@ def log(T: Floats) -> Floats:
 def difference(A: Floats, B: Floats) -> Floats:
     """Return xi (..., 6) with B = A Exp(xi), rotation first, of transforms (..., 4, 4)."""
     functions = library()
-    if functions is None or (A.ndim > 2 and A.shape != B.shape):
+    if functions is None or B.shape[-2:] != (4, 4) or A.shape not in ((4, 4), B.shape):
         return log(inverse(A) @ B)
     a, b = (np.ascontiguousarray(T, dtype=np.float64) for T in (A, B))
     xi = np.empty((*b.shape[:-2], 6))

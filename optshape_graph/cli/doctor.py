@@ -49,7 +49,7 @@ def command(json_path: Path | None, force: bool) -> int:
     from optshape_graph.io.documents import write_json
 
     Outputs(force=force).file("--json", json_path, "doctor")
-    checks = [*_versions(), *_libraries(), _self_check(), *_advice()]
+    checks = [*_versions(), *_libraries(), _compiled(), _self_check(), *_advice()]
     working = not any(check.core and check.status != "ok" for check in checks)
     for check in checks:
         say(f"{check.status:<7} {check.name}: {check.found}; {check.purpose}")
@@ -123,6 +123,16 @@ def _libraries() -> list[Check]:
     to_do = "as root, on Debian or Ubuntu: apt-get install " + " ".join(missing.values()) if missing else ""
     found = f"{', '.join(missing)} cannot be loaded" if missing else ", ".join(SYSTEM)
     return [Check("system libraries", "absent" if missing else "ok", found, "Open3D loads them (extra mesh)", to_do)]
+
+
+def _compiled() -> Check:
+    from optshape_graph.compiled import library
+    from optshape_graph.compiled.build import compile_library
+
+    to_do = f"with a C compiler: python {compile_library.__code__.co_filename}"
+    there = library() is not None
+    found = "loaded" if there else "not there, or made of other sources: NumPy alone"
+    return Check("compiled library", "ok" if there else "absent", found, "poses faster", "" if there else to_do)
 
 
 def _self_check() -> Check:

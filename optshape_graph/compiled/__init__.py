@@ -52,14 +52,14 @@ def library() -> ctypes.CDLL | None:
 
 
 def address(array: NDArray[Any]) -> int:
-    """Return where an array's numbers are, row after row: each of 8 bytes, or of 1 where they are truths."""
+    """Return where the numbers of an array (...) are, row after row: each of 8 bytes, or of 1 where they are truths."""
     assert array.flags.c_contiguous, array.strides
     assert array.dtype.char in "dl?", array.dtype
     return array.ctypes.data
 
 
 def structure(*fields: float | NDArray[Any]) -> Ints:
-    """Lay out whole numbers, numbers, and addresses of arrays as a C structure has them, 8 bytes each."""
+    """Lay out whole numbers, numbers, and addresses of arrays (...) as a C structure has them: (K,) of 8 bytes each."""
     laid = np.empty(len(fields), dtype=np.int64)
     numbers = laid.view(np.float64)
     for k, field in enumerate(fields):

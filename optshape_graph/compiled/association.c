@@ -23,6 +23,9 @@ typedef struct {
     int64_t labelling, order;
 } Start;
 
+/* A cost to sort by: what is not a number comes last. */
+INLINE double sortable(double cost) { return cost == cost ? cost : INFINITY; }
+
 static int by_cost(const void *a, const void *b)
 {
     const Start *x = a, *y = b;
@@ -117,7 +120,7 @@ int64_t best_poses(const Search *search, int64_t labellings, int64_t ends, int64
                 least_of[a] = values[a];
                 best_of[a] = l;
             }
-        all[l] = (Start){values[best], 2 * PI / ANGLES * best, l, l};
+        all[l] = (Start){sortable(values[best]), 2 * PI / ANGLES * best, l, l};
     }
     if (refined < labellings)
         qsort(all, (size_t)labellings, sizeof(Start), by_cost);
@@ -140,7 +143,7 @@ int64_t best_poses(const Search *search, int64_t labellings, int64_t ends, int64
             c = cos(phi), s = sin(phi);
         }
         double cost = f[0] * c * c + 2 * f[1] * c * s + f[3] * s * s - 2 * (f[2] * c + f[4] * s) + f[5];
-        some[i] = (Start){cost, phi, some[i].labelling, i};
+        some[i] = (Start){sortable(cost), phi, some[i].labelling, i};
     }
     qsort(some, (size_t)starts, sizeof(Start), by_cost);
 

@@ -27,7 +27,7 @@ def mark() -> int:
 
 
 def compile_library() -> str:
-    """Compile the library in its folder, where there is a compiler; say what was done.
+    """Compile the library in its folder, where there is a compiler and it isn't there; say what was done.
 
     Never raises: a package without the library works.
     """
@@ -35,6 +35,8 @@ def compile_library() -> str:
     import shutil
     import subprocess
 
+    if LIBRARY.exists() and LIBRARY.stat().st_mtime > max(path.stat().st_mtime for path in sources()):
+        return f"{LIBRARY} is there"
     compiler = shlex.split(os.environ.get("CC", "")) or [shutil.which("cc") or shutil.which("gcc") or ""]
     if os.environ.get("OPTSHAPE_COMPILED") == "off" or not shutil.which(compiler[0]):
         return "no compiler: NumPy alone"

@@ -159,7 +159,7 @@ int64_t edge_geometry(const RingEnds *ends, const Scatter *scatter, int64_t pose
 }
 
 /* Invert a symmetric matrix (n, n), n <= CORE, by L D L^T; return the logarithm of its determinant's size. */
-static double invert(const double *A, int n, double *inverse)
+INLINE double invert(const double *A, int n, double *inverse)
 {
     double L[CORE][CORE], D[CORE], log_size = 0.0;
     for (int j = 0; j < n; j++) {
@@ -259,10 +259,11 @@ INLINE void truncated_moments(int64_t M, const double *restrict mean, const doub
 }
 
 /* Logarithm of the normal distribution. */
-static double log_ndtr(double x)
+INLINE double log_ndtr(double x)
 {
     double t = fabs(x) * SQRT_HALF, scaled = 0.5 * scaled_tail(t);
-    return x < 0.0 ? fast_log(scaled) - t * t : log1p(-scaled * fast_exp(-t * t));
+    double below = fast_log(scaled) - t * t, above = fast_log(1.0 - scaled * fast_exp(-t * t));
+    return x < 0.0 ? below : above;
 }
 
 /* Move a pose T (4, 4) by Exp(xi), rotation first. */
@@ -448,16 +449,15 @@ static void solve(int64_t M, double *const *at, const int64_t *ring_of, const do
     }
 }
 
-/* `exit_probability` of one posterior. */
-static double exit_probability(const RingEnds *ends, int64_t b, const double *T, const double *covariance,
-                               const double *inset, const double *shift, const int64_t *labels, const double *own)
+/* `exit_probability` of one posterior; `inside` has room for a number for each end. */
+INLINE double exit_probability(const RingEnds *ends, int64_t b, const double *T, const double *covariance,
+                               const double *inset, const double *shift, const int64_t *labels, const double *own,
+                               double *inside)
 {
     double total = 0.0, floor = fast_log(0.1 * ends->lost_ends[b]);
     const double *normals = ends->normals + 2 * ends->edges * b, *offsets = ends->offsets + ends->edges * b;
     for (int64_t m = 0; m < ends->ends; m++) {
         int64_t i = b * ends->ends + m;
-        if (!ends->there[i])
-            continue;
         double ray[3], y[3], turn = inset[m] + shift[m];
         for (int k = 0; k < 3; k++)
             ray[k] = ends->points[3 * i + k] + turn * ends->sweep[3 * i + k];
@@ -481,9 +481,12 @@ static double exit_probability(const RingEnds *ends, int64_t b, const double *T,
         cross(ray, J + 3, J);
         for (int j = 0; j < 6; j++)
             variance += J[j] * dot(covariance + 6 * j, J, 6);
-        double inside = log_ndtr(-worst / sqrt(variance));
-        total += inside > floor ? inside : floor;
+        inside[m] = -worst / sqrt(variance);
     }
+    const uint8_t *there = ends->there + b * ends->ends;
+#pragma omp simd reduction(+ : total)
+    for (int64_t m = 0; m < ends->ends; m++)
+        total += there[m] ? most(log_ndtr(inside[m]), floor) : 0.0;
     return total;
 }
 
@@ -518,12 +521,13 @@ static double missed_rings(const RingEnds *ends, int64_t b, const double *T, dou
 }
 
 /* The posterior about each of C poses of scans, by so many sweeps, and moved to its mean; 1 where there is no memory. */
+FOR_EVERY_PROCESSOR
 int64_t propagate(const RingEnds *ends, const Model *model, int64_t poses, const int64_t *scan, const double *T_poses,
                   const Geometry *geometry, int64_t sweeps, const Posterior *out)
 {
     int64_t M = ends->ends, K = ends->shifts, n = ends->edges, rings = K - 1, wide = (M + 7) / 8 * 8;
     double *memory = calloc((size_t)((ARRAYS + 1) * wide + rings * (CORE + 3) + 9 * n + 1), sizeof(double));
-    int64_t *ring_of = malloc((size_t)(M + 1) * sizeof(int64_t));
+    int64_t *ring_of = malloc((size_t)wide * sizeof(int64_t));
     if (!memory || !ring_of) {
         free(memory);
         free(ring_of);
@@ -625,11 +629,20 @@ int64_t propagate(const RingEnds *ends, const Model *model, int64_t poses, const
             at[NU][m] = -at[TAU][m] * (lower + 0.5 * width) * s;
         }
 
+        for (int64_t m = M; m < wide; m++) { /* whole vectors: beside the ends, what has no weight and makes no trouble */
+            for (int j = 0; j < CORE; j++)
+                at[J_CORE + j][m] = j == 6;
+            at[TAU][m] = at[NU][m] = at[R][m] = at[THERE][m] = at[DENSITY0][m] = at[DENSITY1][m] = 0.0;
+            at[LOWER0][m] = at[LOWER1][m] = -1.0;
+            at[UPPER0][m] = at[UPPER1][m] = at[OWN][m] = 1.0;
+            ring_of[m] = -1;
+        }
+
         double *tau = at[TAU], *nu = at[NU];
         const double *there = at[THERE], *r = at[R];
         for (int64_t sweep = 0;; sweep++) {
-            solve(M, at, ring_of, precision0, shift0, weighted_r, &solved);
-            update_sites(M, at);
+            solve(wide, at, ring_of, precision0, shift0, weighted_r, &solved);
+            update_sites(wide, at);
             if (sweep == sweeps)
                 break;
             for (int64_t m = 0; m < M; m++) {
@@ -642,11 +655,13 @@ int64_t propagate(const RingEnds *ends, const Model *model, int64_t poses, const
         for (int i = 0; i < 6; i++)
             evidence -= 0.5 * shift0[i] * dot(prior_inverse + 6 * i, shift0, 6);
         evidence += 0.5 * log_prior;
-        for (int64_t m = 0; m < M; m++) {
-            double precision = 1.0 / at[CAVITY_VARIANCE][m], total = precision + tau[m];
-            double mean = at[CAVITY_MEAN][m], shift = mean * precision + nu[m];
+        const double *cavity_variance = at[CAVITY_VARIANCE], *cavity_mean = at[CAVITY_MEAN], *log_mass = at[LOG_MASS];
+#pragma omp simd reduction(+ : evidence)
+        for (int64_t m = 0; m < wide; m++) {
+            double precision = 1.0 / cavity_variance[m], total = precision + tau[m];
+            double mean = cavity_mean[m], shift = mean * precision + nu[m];
             double ratio = fast_log(total / precision) - shift * shift / total + mean * mean * precision;
-            evidence += there[m] * (at[LOG_MASS][m] + 0.5 * ratio) - 0.5 * (tau[m] * r[m] * r[m] - 2 * nu[m] * r[m]);
+            evidence += there[m] * (log_mass[m] + 0.5 * ratio) - 0.5 * (tau[m] * r[m] * r[m] - 2 * nu[m] * r[m]);
         }
 
         /* The results. */
@@ -676,7 +691,7 @@ int64_t propagate(const RingEnds *ends, const Model *model, int64_t poses, const
         }
         /* What the posterior leaves out. */
         evidence += exit_probability(ends, b, out->T + 16 * c, covariance, out->inset + o, out->shift + o,
-                                     geometry->labels + o, geometry->own + o);
+                                     geometry->labels + o, geometry->own + o, at[VARIANCE]);
         evidence += missed_rings(ends, b, out->T + 16 * c, out->offset[c], corners);
         out->log_likelihood[c] = isfinite(evidence) ? evidence : -INFINITY;
     }

@@ -264,7 +264,7 @@ def refine_all(measurements: Sequence[TemplateMeasurement], starts: Floats, iter
     """
     T, L, b = starts, np.stack([one.L for one in measurements]), np.stack([one.b for one in measurements])
     functions = library()
-    if functions is not None:
+    if functions is not None and starts.shape == (len(L), 4, 4):
         found = np.empty((len(L), 4, 4))
         arrays = [np.ascontiguousarray(one, dtype=np.float64) for one in (L, b, starts)]
         functions.nearest_minima(len(L), *map(address, arrays), iterations, address(found))

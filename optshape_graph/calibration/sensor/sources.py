@@ -62,12 +62,15 @@ class Opened(Value):
 
         Raises:
             InputError: a source that can't be read; no sensor, or sensors that differ; a recording without targets; a
-                LiDAR or a topic that is not there.
+                LiDAR or a topic that is not there; a source given twice.
         """
         opened = [_opened(source) for source in sources]
         recordings = [one for one in opened if isinstance(one, Recording)]
         if not opened:
             raise InputError("nothing to calibrate: no session and no recording")
+        paths = [one.path.resolve() for one in opened if one.path.exists()]
+        if again := next((path for k, path in enumerate(paths) if path in paths[:k]), None):
+            raise InputError(f"{again}: given twice; what it shows counts once")
         if lidar is not None and len(recordings) == len(opened):
             raise InputError(f"LiDAR '{lidar}': only a session names LiDARs, and there is none")
         if topic is not None and not recordings:

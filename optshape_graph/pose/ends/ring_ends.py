@@ -264,7 +264,7 @@ class RingEnds(Value):
 
     @cached_property
     def laid_out(self) -> tuple[Ints, list[NDArray[Any]]]:
-        """Ring ends as the compiled library has them, and the arrays that it holds."""
+        """(K,) counts, and addresses of arrays, numbers, as the compiled library has them; and these arrays."""
         arrays = [np.ascontiguousarray(getattr(self, name)) for name in _LAID_OUT]
         counts = (*self.there.shape, self.normals.shape[1], self.by_shift.shape[2], self.silent.shape[1])
         return structure(*counts, *arrays), arrays
@@ -274,7 +274,11 @@ class RingEnds(Value):
         shape, table = (len(T), self.there.shape[1]), outermost_table()
         if scan is None:
             scan = np.arange(len(T)) if len(self.there) > 1 else np.zeros(len(T), dtype=np.int64)
-        given = np.full(shape, -1) if labels is None else np.array(labels, dtype=np.int64)
+        assert len(scan) == len(T), "each pose is of a scan"
+        assert scan.max(initial=0) < len(self.there), "of one of these scans"
+        given = np.full(shape, -1)
+        if labels is not None:
+            given[:] = labels
         made = {name: np.empty((*shape, 3) if name == "direction" else shape) for name in _MADE}
         geometry = EdgeGeometry(given, **made)
         scatter, out = structure(float(Beam.OWN), len(table[0]), *table), structure(given, *made.values())

@@ -156,7 +156,7 @@ class Rays(Value):
         compiled = library()
         if compiled is not None:
             total, laid = np.empty(len(corners)), self._laid_out(corners.shape[1])
-            kept = [np.ascontiguousarray(array) for array in (corners, offset)]
+            kept = [np.ascontiguousarray(array) for array in (corners, np.broadcast_to(offset, len(corners)))]
             if compiled.rays_log_likelihood(address(laid[0]), len(corners), *map(address, kept), address(total)):
                 raise MemoryError
             return total

@@ -81,6 +81,7 @@ def test_sources_that_do_not_go_together(recording: Recording) -> None:
         ([session()], (), None, {"lidar": "front"}, "no LiDAR 'front'"),
         ([session()], (), load_sensor("vlp32c"), {}, "another model"),
         ([], boards, vlp16, {}, "nothing to calibrate"),
+        ([recording, recording], boards, vlp16, {}, "given twice"),
     ):
         with pytest.raises(InputError, match=message):
             Opened.of(sources, targets, sensor, **options)
