@@ -142,6 +142,7 @@ def test_without_the_library_an_estimate_is_the_same(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no compiler")
 def test_the_library_is_compiled_where_it_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OPTSHAPE_COMPILED", raising=False)
     (tmp_path / "one.c").write_text("int one(void) { return 1; }")
     monkeypatch.setattr(build, "FOLDER", tmp_path)
     monkeypatch.setattr(build, "LIBRARY", tmp_path / "library.so")
