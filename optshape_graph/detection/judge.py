@@ -56,13 +56,13 @@ def returns_of(scan: OrderedScan, target: Target, T_lidar_target: Floats, margin
     """
     rays = returned_near(scan, T_lidar_target, target.circumradius + margin)
     band = scan.band(T_lidar_target[:3, 0], T_lidar_target[:3, 3])
-    within, behind, ring = target.contains(rays.crossing, margin), rays.points[:, 0], scan.ring[rays.rows]
+    outside, behind, ring = target.outside_distance(rays.crossing), rays.points[:, 0], scan.ring[rays.rows]
+    within, inside = outside <= margin, outside <= 0.0
     on, through = within & (np.abs(behind) <= band), within & (behind > band)
 
     def by_ring(which: Bools) -> Ints:
         return np.bincount(ring[which], minlength=len(scan.elevations))
 
-    inside = target.contains(rays.crossing)
     beside = 2 * by_ring(on & inside) < by_ring(on)
     count_through = np.where(beside, by_ring(through), by_ring(through & inside))
     pierced = count_through >= np.maximum(scan.options.pierced_rays, scan.options.pierced_share * by_ring(on))

@@ -87,7 +87,7 @@ class TargetTracker:
     def _about(self, scan: Scan, passed: float) -> Detections | None:
         """Return the detections where targets may be after `passed` seconds; None: they may be anywhere."""
         near = np.zeros(len(scan), dtype=bool)
-        ranges = np.linalg.norm(scan.points, axis=1)
+        ranges = np.sqrt(np.einsum("ni,ni->n", scan.points, scan.points))
         for one in self._found:
             centre = one.estimate.T_lidar_target[:3, 3]
             away = float(np.linalg.norm(centre))
