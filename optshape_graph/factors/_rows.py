@@ -102,7 +102,7 @@ def _by_parts(stack: Floats, k: int) -> Floats:
         row = rows[np.where(there, first_row[parts, None] + rank, 0)]
         R = factored(np.where(there[..., None], stack[row[..., None], places[:, None]], 0.0))
         whole[columns[..., None], places[:, None]] = R[:, :w]
-        left.extend(R[:, w:, w:])
+        left.append(R[:, w:, w:].reshape(-1, len(common)))
     whole[np.ix_(common, common)] = triangular(np.vstack(left))
     return whole
 
