@@ -131,9 +131,9 @@ class OrderedScan(Value):
         rows = self._rows
         if reach >= away:
             return rows
-        middle, half = np.arctan2(centre[1], centre[0]), np.arcsin(reach / away) + 1e-9
-        windows = [np.clip([middle - half + turn, middle + half + turn], -np.pi, np.pi) for turn in _TURNS]
-        ends = np.array([window for window in windows if window[0] < window[1]])
+        middle, half = float(np.arctan2(centre[1], centre[0])), float(np.arcsin(reach / away)) + 1e-9
+        windows = [(max(middle - half + turn, -np.pi), min(middle + half + turn, np.pi)) for turn in _TURNS]
+        ends = np.array([(first, last) for first, last in windows if first < last])
         places = _position(np.arange(len(self.elevations))[:, None, None], ends)
         first = np.searchsorted(self._positions, places[..., 0].ravel(), "left")
         last = np.searchsorted(self._positions, places[..., 1].ravel(), "right")
