@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from optshape_graph.detection.detect import Search, detect_in_scans
 from optshape_graph.detection.results import Detections
 from optshape_graph.errors import InputError
-from optshape_graph.io.clouds import read_scan
+from optshape_graph.io.clouds import read_scans
 from optshape_graph.io.records import to_record
 from optshape_graph.runs.files import UNREADABLE, Outcome
 from optshape_graph.scan import Scan
@@ -38,13 +38,8 @@ class DetectFiles:
     """Scans that are searched at once: more gain little, and each holds a whole revolution."""
 
     def __call__(self, paths: Sequence[str]) -> list[Outcome]:
-        scans: dict[int, Scan] = {}
-        found: dict[int, Outcome] = {}
-        for k, path in enumerate(paths):
-            try:
-                scans[k] = read_scan(path, self.sensor, self.columns)
-            except InputError as error:
-                found[k] = self._unreadable(path, error)
+        scans, errors = read_scans(paths, self.sensor, self.columns)
+        found = {k: self._unreadable(paths[k], error) for k, error in errors.items()}
         searched = detect_in_scans([Search(scan, self.targets) for scan in scans.values()])
         for (k, scan), detections in zip(scans.items(), searched, strict=True):
             found[k] = self._outcome(paths[k], scan, detections)
