@@ -11,6 +11,9 @@ from optshape_graph.errors import EstimationError
 from optshape_graph.groups import Groups
 from optshape_graph.se3 import cross, transform
 
+NEAREST_M = 0.02
+"""A plane that is nearer, metres, passes through the sensor's own housing."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReturnsPlane(Value):
@@ -86,7 +89,7 @@ def fit_planes(points: Floats, weights: Floats, scans: Groups) -> list[ReturnsPl
     values, vectors = np.linalg.eigh(scans.products(centred, centred))
     spread, normals = np.sqrt(np.maximum(values[:, 1], 0.0)), vectors[:, :, 0]
     distance = (normals * centres).sum(axis=1)
-    edge_on = np.abs(distance) < 1e-2 * np.linalg.norm(centres, axis=1)
+    edge_on = np.abs(distance) < np.maximum(1e-2 * np.linalg.norm(centres, axis=1), NEAREST_M)
     axes = _axes(normals * np.sign(distance)[:, None], centres)
     found: list[ReturnsPlane | EstimationError] = []
     for k, n in enumerate(scans.counts.tolist()):

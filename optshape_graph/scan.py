@@ -15,6 +15,10 @@ from optshape_graph.sensor import SensorModel
 
 Values = TypeVar("Values", Floats | None, Ints | None)
 
+AT_SENSOR_M, NO_RETURN_M = 1e-3, 1e7
+"""Nearer than the first, metres, and from the second on, a point is not a return: some drivers write 0, or the largest
+number, where nothing came back."""
+
 FARTHEST_M = 500.0
 """No LiDAR's median return is farther, metres; such a cloud is in millimetres or in a map's coordinates."""
 
@@ -117,6 +121,13 @@ def without_duplicates(scan: Scan) -> tuple[Scan, int]:
     keep = np.ones(len(scan), dtype=bool)
     keep[order[1:][again]] = False
     return scan.select(keep), int(again.sum())
+
+
+def returns_of(scan: Scan) -> Scan:
+    """Return a scan without the points that are no returns: at the sensor, or beyond `NO_RETURN_M`."""
+    largest = np.abs(scan.points).max(axis=1, initial=0.0)
+    there = (largest > AT_SENSOR_M) & (largest < NO_RETURN_M)
+    return scan if there.all() else scan.select(there)
 
 
 def put_right(scan: Scan) -> Scan:

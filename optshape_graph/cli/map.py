@@ -60,8 +60,9 @@ class Offset(click.ParamType):  # type: ignore[type-arg]  # generic in newer ver
               help="Topic of poses, or a file of them (TUM, EuRoC, Motive); `none` for none.  "
               "[default: the only topic of poses, if there is one]")  # fmt: skip
 @click.option("--mounting", "mountings", nargs=6, type=Number(-1e4, 1e4), metavar="X Y Z ROLL PITCH YAW", multiple=True,
-              help="Pose of the LiDAR on the body whose poses the odometry has: metres and degrees; for several LiDARs "
-              "one each, in the order of --scans.  [default: the recording's static transforms]")  # fmt: skip
+              help="Pose of the LiDAR on the body whose poses the odometry has: metres and degrees, R = Rx Ry Rz (not "
+              "ROS's Rz Ry Rx: for that, `transforms` by --extrinsics); for several LiDARs one each, in the order of "
+              "--scans.  [default: the recording's static transforms]")  # fmt: skip
 @click.option("--extrinsics", type=FILE, help="Where LiDARs are: a file with `transforms`, such as a calibrated rig.")
 @click.option("--clock-offset", type=Offset(), default="0", show_default=True, metavar="SECONDS|auto",
               help="What to add to the stamps of the odometry to get the LiDAR's; `auto`: estimated from how fast the "

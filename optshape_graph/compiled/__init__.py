@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optshape_graph._arrays import Ints
-from optshape_graph.compiled.build import LIBRARY, mark
+from optshape_graph.compiled.build import LIBRARY, is_whole
 
 _KINDS = {"p": ctypes.c_void_p, "i": ctypes.c_int64, "d": ctypes.c_double}
 
@@ -37,13 +37,13 @@ _FUNCTIONS = {
 @cache
 def library() -> ctypes.CDLL | None:
     """Return the compiled library; None where there is none of these sources, it does not load, or it is left out."""
-    if os.environ.get("OPTSHAPE_COMPILED") == "off" or not LIBRARY.exists():
+    if os.environ.get("OPTSHAPE_COMPILED") == "off":
         return None
     try:
-        functions = ctypes.CDLL(str(LIBRARY))
-        if ctypes.c_uint32.in_dll(functions, "sources").value != mark():
+        if not is_whole(LIBRARY.read_bytes()):
             return None
-    except (OSError, ValueError):  # made for another processor, another C library, or without its mark
+        functions = ctypes.CDLL(str(LIBRARY))
+    except OSError:  # it isn't there, or was made for another processor or another C library
         return None
     for name, kinds in _FUNCTIONS.items():
         function = getattr(functions, name)

@@ -8,11 +8,6 @@
 
 #include <stdlib.h>
 
-#ifndef SOURCES
-#define SOURCES 0
-#endif
-const uint32_t sources = SOURCES; /* what the library was made of: `build.mark` */
-
 enum { CORE = 8 }; /* unknowns beside the rings' shifts: a pose, the offset across the edges, and the blooming */
 
 /* `RingEnds` of B scans: M ring ends, n edges, K columns of shifts, O rings without returns. */

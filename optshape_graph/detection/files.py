@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from optshape_graph.detection.detect import detect_targets
+from optshape_graph.detection.detect import Search, detect_in_scans
 from optshape_graph.detection.results import Detections
-from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.io.clouds import read_scan
+from optshape_graph.errors import InputError
+from optshape_graph.io.clouds import read_scans
 from optshape_graph.io.records import to_record
 from optshape_graph.runs.files import UNREADABLE, Outcome
 from optshape_graph.scan import Scan
@@ -34,21 +34,26 @@ class DetectFiles:
     columns: tuple[str, ...] | None = None
     then: Callable[[str, Scan, Detections], Sequence[Path]] | None = None
 
-    AT_ONCE: ClassVar[int] = 1
-    """The candidates of one scan are many already."""
+    AT_ONCE: ClassVar[int] = 8
+    """Scans that are searched at once: more gain little, and each holds a whole revolution."""
 
     def __call__(self, paths: Sequence[str]) -> list[Outcome]:
-        return [self._outcome(path) for path in paths]
+        scans, errors = read_scans(paths, self.sensor, self.columns)
+        found = {k: self._unreadable(paths[k], error) for k, error in errors.items()}
+        searched = detect_in_scans([Search(scan, self.targets) for scan in scans.values()])
+        for (k, scan), detections in zip(scans.items(), searched, strict=True):
+            found[k] = self._outcome(paths[k], scan, detections)
+        return [found[k] for k in range(len(paths))]
 
-    def _outcome(self, path: str) -> Outcome:
-        try:
-            scan = read_scan(path, self.sensor, self.columns)
-            detections = detect_targets(scan, self.targets)
-        except (InputError, EstimationError) as error:
-            return Outcome(UNREADABLE, (str(error),), self.failed(path, str(error)).entry)
+    def _outcome(self, path: str, scan: Scan, detections: Detections | InputError) -> Outcome:
+        if isinstance(detections, InputError):
+            return self._unreadable(path, detections)
         pictures = () if self.then is None else tuple(map(str, self.then(path, scan, detections)))
         reasons = tuple(f"{path}: {one.status}: {one.reason}" for one in detections.found if one.reason)
         return Outcome("ambiguous" if reasons else "ok", reasons, detections.to_dict(), pictures)
+
+    def _unreadable(self, path: str, error: InputError) -> Outcome:
+        return Outcome(UNREADABLE, (str(error),), self.failed(path, str(error)).entry)
 
     def failed(self, path: str, reason: str) -> Outcome:
         """Return the outcome of a scan that could not be used.

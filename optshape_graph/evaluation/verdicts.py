@@ -248,8 +248,9 @@ def _map(document: Mapping[str, Any]) -> Verdict:
         else []
     )
     problems = [str(problem) for problem in (document.get("report") or {}).get("problems", ())]
-    level: Level = "Not usable" if problems else "Usable with care" if once else "Good"
-    return Verdict(level, sentence, (*problems, *advice))
+    warnings = [str(warning) for warning in (document.get("report") or {}).get("warnings", ())]
+    level: Level = "Not usable" if problems else "Usable with care" if once or warnings else "Good"
+    return Verdict(level, sentence, (*problems, *warnings, *advice))
 
 
 def _choice(document: Mapping[str, Any]) -> Verdict:

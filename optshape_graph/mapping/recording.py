@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,6 +44,13 @@ MANY = 60
 
 MOST_LOST = 0.5
 """Share of the scans with which lost a map is not to be trusted to show what was there."""
+
+SOME_CONTRADICT, MANY_CONTRADICT = 0.05, 0.2
+"""Shares of the sightings that contradict a map, above which it says so, and is not to be trusted. By chance one in a
+thousand does."""
+
+FEWEST_CONTRADICTING = 3
+"""Sightings that contradict a map, below which it is not told from clutter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,10 +188,12 @@ def map_recording(
     read = None if track is None or track.span is None or source.poses is None else track.span
     own = None if read is None else (read[0] - offset[0], read[1] - offset[0])
     clocks = Clocks(progress.span, own, *offset, source.jumps)
+    contradict, many = _contradictions(slam.counts)
     return MapResult(
         result, source.name, solution, dict(slam.counts), progress, source.skipped,
-        source.passed_over(progress.skipped), source.mounting, clocks, tuple(source.warnings),
-        _problems(result, source, clocks, progress),
+        source.passed_over(progress.skipped), source.mounting, clocks,
+        (*source.warnings, *(() if many else contradict)),
+        (*_problems(result, source, clocks, progress), *(contradict if many else ())),
     )  # fmt: skip
 
 
@@ -290,6 +300,21 @@ def _problems(result: Map, source: Source, clocks: Clocks, progress: Progress) -
         which = "no scan lies" if outside == progress.scans else f"{outside} of {progress.scans} scans do not lie"
         problems.append(f"{which} within the odometry: {clocks.spans}: is a clock offset needed?")
     return tuple(problems)
+
+
+def _contradictions(counts: Counter[str]) -> tuple[tuple[str, ...], bool]:
+    """Say how many sightings contradict the map, where that is more than clutter explains; and whether they are many.
+
+    Where odometry is wrong, or its noise larger than said, the graph goes on without the sightings that show it.
+    """
+    rejected, taken = counts["rejected"], counts["matched"] + counts["new"] + counts["rejected"]
+    if rejected < FEWEST_CONTRADICTING or rejected < SOME_CONTRADICT * taken:
+        return (), False
+    text = (
+        f"{rejected} of {taken} sightings contradict the map, and are left out of it: is the odometry the LiDAR's "
+        "(--mounting), and its noise right (--odometry-noise)? Was a target moved?"
+    )
+    return (text,), rejected >= MANY_CONTRADICT * taken
 
 
 def _processes(expected: int | None) -> int:

@@ -17,7 +17,7 @@ from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.paper import find_as_paper
 from optshape_graph.pose.result import Ambiguity, PoseEstimate, Status
 from optshape_graph.pose.rings import find_by_rings
-from optshape_graph.scan import Scan, not_in_metres, put_right, rings_from_the_top
+from optshape_graph.scan import Scan, not_in_metres, put_right, returns_of, rings_from_the_top
 from optshape_graph.se3 import inverse, inverse_covariance, vec_derivative
 from optshape_graph.target import Target
 
@@ -37,8 +37,8 @@ def estimate_pose(
     """Estimate the pose of a target from its returns.
 
     Args:
-        scan: the returns on the target and no others; its sensor, where known, gives azimuth step, noise and the
-            rings that should have hit.
+        scan: the returns on the target and no others, but for points that are none (at the sensor, or beyond any
+            reach); its sensor, where known, gives azimuth step, noise and the rings that should have hit.
         target: the template.
         method: "global" enumerates every consistent association of edge points to edges, finds the posterior of the
             pose under the best of them, and certifies it; of a cloud without rings it finds the posterior over all
@@ -103,7 +103,23 @@ def estimate_poses(
     for name, value, choices in (("method", method, get_args(Method)), ("backend", backend, get_args(Backend))):
         if value not in choices:
             raise InputError(f"{name} is {value!r}; expected one of {', '.join(map(repr, choices))}")
-    evidences = _measured(scans, templates, method, options)
+    try:
+        return _estimated(scans, templates, method, backend, options)
+    except np.linalg.LinAlgError as error:  # of one scan, which the others needn't suffer from
+        if len(scans) == 1:
+            return [EstimationError(f"{scans[0].name}: no pose can be worked out of these returns ({error})")]
+        alone = (
+            estimate_poses([scan], [target], method, backend, options)
+            for scan, target in zip(scans, templates, strict=True)
+        )
+        return [estimate for (estimate,) in alone]
+
+
+def _estimated(
+    scans: Sequence[Scan], targets: Sequence[Target], method: Method, backend: Backend, options: PoseOptions
+) -> list[PoseEstimate | EstimationError]:
+    """Measure, find by the method, and conclude."""
+    evidences = _measured(scans, targets, method, options)
     ringed = [one for one in evidences if isinstance(one, Evidence) and one.scan.ring is not None and method != "paper"]
     by_rings = iter(find_by_rings(ringed))
     findings: list[Finding | EstimationError] = []
@@ -134,7 +150,7 @@ def _measured(
         elif scan.ring is not None and len(scan) > 2 and scan.ring.min() == scan.ring.max():
             found[k] = EstimationError(f"{len(scan)} returns on one ring; a pose takes two rings at least")
     good = [k for k in range(len(scans)) if k not in found]
-    right = [put_right(scans[k]) for k in good]
+    right = [put_right(returns_of(scans[k])) for k in good]
     measured = measure(right, [targets[k] for k in good], options, as_recorded=method == "paper")
     found.update(zip(good, measured, strict=True))
     return [found[k] for k in range(len(scans))]

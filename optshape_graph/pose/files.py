@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from optshape_graph.errors import EstimationError, InputError
-from optshape_graph.io.clouds import read_scan
+from optshape_graph.io.clouds import read_scans
 from optshape_graph.io.records import to_record
 from optshape_graph.pose import Backend, Method, PoseEstimate, estimate_poses
 from optshape_graph.runs.files import UNREADABLE, Outcome
@@ -41,14 +41,8 @@ class EstimateFiles:
     """Scans whose poses are estimated at once: more gain little, and wait for each other."""
 
     def __call__(self, paths: Sequence[str]) -> list[Outcome]:
-        scans: dict[int, Scan] = {}
-        found: dict[int, Outcome] = {}
-        for k, path in enumerate(paths):
-            try:
-                scans[k] = read_scan(path, self.sensor, self.columns)
-            except InputError as error:
-                entry = PoseEstimate.failed_entry(path, self.target.name, str(error))
-                found[k] = Outcome(UNREADABLE, (str(error),), entry)
+        scans, errors = read_scans(paths, self.sensor, self.columns)
+        found = {k: self._unreadable(paths[k], error) for k, error in errors.items()}
         estimates = estimate_poses(list(scans.values()), self.target, self.method, self.backend)
         for (k, scan), estimate in zip(scans.items(), estimates, strict=True):
             found[k] = self._outcome(paths[k], scan, estimate)
@@ -60,6 +54,10 @@ class EstimateFiles:
         pictures = () if self.then is None else tuple(map(str, self.then(path, scan, estimate)))
         reasons = (f"{path}: {estimate.status}: {estimate.reason}",) if estimate.status != "ok" else ()
         return Outcome(estimate.status, reasons, estimate.to_dict(), pictures)
+
+    def _unreadable(self, path: str, error: InputError) -> Outcome:
+        entry = PoseEstimate.failed_entry(path, self.target.name, str(error))
+        return Outcome(UNREADABLE, (str(error),), entry)
 
     def failed(self, path: str, reason: str) -> Outcome:
         """Return the outcome of a scan that gave no estimate.

@@ -122,8 +122,24 @@ def test_starts_are_those_of_numpy(evidences: list[list[Evidence]], monkeypatch:
 
 
 @needs_library
-def test_a_library_of_other_sources_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "mark", lambda: 1)
+def test_a_library_that_is_not_whole_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that was cut short would kill the process that loads it."""
+    place, content = tmp_path / "library.so", build.LIBRARY.read_bytes()
+    monkeypatch.setattr(compiled, "LIBRARY", place)
+    assert library.__wrapped__() is None
+    changed = bytearray(content)
+    changed[len(content) // 2] ^= 1
+    for damaged in (b"", b"ELF", content[:1000], content[: len(content) // 2], content[:-1], bytes(changed)):
+        place.write_bytes(damaged)
+        assert library.__wrapped__() is None
+    place.write_bytes(content)
+    assert library.__wrapped__() is not None
+
+
+@needs_library
+def test_a_library_of_other_sources_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "other.c").write_text("int other;")
+    monkeypatch.setattr(build, "FOLDER", tmp_path)
     assert library.__wrapped__() is None
 
 
@@ -152,6 +168,8 @@ def test_the_library_is_compiled_where_it_stands(tmp_path: Path, monkeypatch: py
     assert build.compile_library().startswith("NumPy alone: ")
     monkeypatch.setenv("CC", "no-such-compiler")
     assert build.compile_library() == "no compiler: NumPy alone"
+    monkeypatch.setenv("CC", "cc 'half")
+    assert build.compile_library().startswith("NumPy alone: CC is ")
     assert [path.name for path in tmp_path.iterdir() if path.suffix == ".new"] == []
 
 

@@ -1,5 +1,6 @@
 """From scans and poses to a map: keyframes, odometry in between, bad scans, a moving LiDAR, several processes."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from optshape_graph.mapping.recording import (
     MotionNoise,
     OdometryTrack,
     Progress,
+    _contradictions,
     build_map,
     keyframes,
     map_recording,
@@ -177,3 +179,13 @@ def test_jitter_of_fast_odometry_is_averaged_away(hz):
         errors.append(np.square(error) / np.diag(replace(sweep, drift=None).uncertainty(0.0, 0.05)))
     # The jitter is known after a few scans; then 15 overlapping fits of six independent axes each.
     assert 0.4 < np.mean(errors[5:]) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("rejected", "said", "many"), [(0, False, False), (2, False, False), (6, True, False), (30, True, True)]
+)
+def test_sightings_that_contradict_a_map_are_said(rejected: int, said: bool, many: bool) -> None:
+    """Of a hundred that were taken: a few are clutter, some are a warning, many say that the map is wrong."""
+    texts, are_many = _contradictions(Counter(matched=95 - rejected, new=5, rejected=rejected, pending=40))
+    assert [f"{rejected} of 100 sightings contradict the map" in text for text in texts] == [True] * said
+    assert are_many is many

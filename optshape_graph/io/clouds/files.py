@@ -112,6 +112,26 @@ def read_scan(
     return use_up(read_columns(path, columns), sensor, unused=unused)
 
 
+def read_scans(
+    paths: Sequence[str | Path], sensor: SensorModel | None = None, columns: Sequence[str] | None = None
+) -> tuple[dict[int, Scan], dict[int, InputError]]:
+    """Read scans from clouds' files: those that can be read, and why the others can't, by their number from 0.
+
+    Args:
+        paths: of the files.
+        sensor: as for `read_scan`.
+        columns: as for `read_scan`.
+    """
+    scans: dict[int, Scan] = {}
+    errors: dict[int, InputError] = {}
+    for k, path in enumerate(paths):
+        try:
+            scans[k] = read_scan(path, sensor, columns)
+        except InputError as error:
+            errors[k] = error
+    return scans, errors
+
+
 def write_scan(path: str | Path, scan: Scan) -> None:
     """Write a scan as a binary PCD file that `read_scan`, PCL and Open3D read.
 

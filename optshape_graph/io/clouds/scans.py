@@ -18,14 +18,10 @@ from optshape_graph.errors import InputError, expect
 from optshape_graph.io.clouds.columns import Columns, Role, roles
 from optshape_graph.io.clouds.rings import rings_by_firing, rings_of_elevations, rings_of_ids
 from optshape_graph.io.times import seconds_of_points
-from optshape_graph.scan import Scan, not_in_metres, put_right, ring_numbers
+from optshape_graph.scan import NO_RETURN_M, Scan, not_in_metres, put_right, ring_numbers
 from optshape_graph.sensor import SensorModel
 
 _LOG = logging.getLogger(__name__)
-
-NO_RETURN_M = 1e7
-"""From this distance on, metres, a point is not a return: some drivers write the largest number if nothing came
-back."""
 
 NOISE_TAGS = 0b0101
 """Bits of Livox's tag that mark noise, by the position of a return among others and by its intensity."""

@@ -1,8 +1,7 @@
 """What was asked of a sensor's calibration, over simulated units and the recorded sessions.
 
-`python -m pytest -m benchmark -s tests/calibration/sensor`. Half an hour of processor time: a unit takes ten to forty
-seconds, most of them to make its Gaussians again in the company of the solution; twenty of each sensor at each range
-were asked for.
+`python -m pytest -m benchmark -s tests/calibration/sensor`. An hour of processor time: a unit takes five to forty
+seconds, most of them to make its Gaussians again in the company of the solution.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from tests.shared import SHARED, needs_shared
 
 pytestmark = pytest.mark.benchmark
 
-UNITS = 3
+UNITS = 20
 """Copies of each sensor."""
 
 DISTANCES = 20
