@@ -68,12 +68,12 @@ class Components(Value):
 
     @cached_property
     def roots(self) -> Floats:
-        """(C, 7, 7) lower triangular roots of the covariances."""
+        """(C, 7, 7) lower triangular roots of the covariances, rad, metres and the unit of the scalar."""
         return np.asarray(np.linalg.cholesky(self.covariance))
 
     @cached_property
     def whitening(self) -> Floats:
-        """(C, 7, 7) inverses of the roots."""
+        """(C, 7, 7) inverses of the roots: of rad, metres and scalar they make numbers."""
         return np.asarray(np.linalg.inv(self.roots))
 
     @cached_property
