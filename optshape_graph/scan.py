@@ -221,7 +221,7 @@ def rings_from_the_top(scan: Scan) -> str:
     if scan.ring is None or len(scan) == 0:
         return ""
     low, high = int(scan.ring.min()), int(scan.ring.max())
-    of_low, of_high = (elevations_of(scan.points[scan.ring == one]) for one in (low, high))
+    of_low, of_high = (elevations_of(scan.points[np.flatnonzero(scan.ring == one)]) for one in (low, high))
     lowest, highest = float(np.mean(of_low)), float(np.mean(of_high))
     error = float(np.sqrt(np.var(of_low) / len(of_low) + np.var(of_high) / len(of_high)))
     if highest > lowest - LEVEL - 4.0 * error:

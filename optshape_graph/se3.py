@@ -335,16 +335,16 @@ def _inverse_left_jacobian(w: Floats) -> Floats:
 
 def quaternion(R: Floats) -> Floats:
     """Unit quaternions (..., 4), real part first, of rotations (..., 3, 3)."""
-    d = np.diagonal(R, axis1=-2, axis2=-1)
-    trace = d.sum(axis=-1)
+    d = [R[..., i, i] for i in range(3)]
+    trace = d[0] + d[1] + d[2]
     # Four multiples of the quaternion, row k by 4 q_k: the multiple by the largest entry loses no digits.
     rows = np.empty((*trace.shape, 4, 4))
     rows[..., 0, 0] = 1.0 + trace
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        rows[..., i + 1, i + 1] = 1.0 + 2.0 * d[..., i] - trace
+        rows[..., i + 1, i + 1] = 1.0 + 2.0 * d[i] - trace
         rows[..., 0, i + 1] = rows[..., i + 1, 0] = R[..., k, j] - R[..., j, k]
         rows[..., j + 1, k + 1] = rows[..., k + 1, j + 1] = R[..., k, j] + R[..., j, k]
     largest = np.diagonal(rows, axis1=-2, axis2=-1).argmax(axis=-1)
     q = np.take_along_axis(rows, largest[..., None, None], axis=-2)[..., 0, :]
-    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
+    return np.asarray(q / np.sqrt(np.vecdot(q, q))[..., None])

@@ -32,7 +32,7 @@ int64_t segment_starts(int64_t n, const int64_t *ring, const double *azimuth, co
             if (span > 0.5 * step)
                 off = off_line(gap, jump, span, range[i - 1] - range[i - 3], steepest * range[i], noise);
         }
-        if (i + 2 < n && run[i + 2] == run[i]) {
+        if (off > jump_sigmas && i + 2 < n && run[i + 2] == run[i]) {
             double span = fabs(azimuth[i] - azimuth[i + 2]);
             if (span > 0.5 * step)
                 off = least(off, off_line(gap, jump, span, range[i + 2] - range[i], steepest * range[i], noise));

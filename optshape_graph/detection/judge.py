@@ -19,6 +19,7 @@ from optshape_graph.target import Target
 
 _ALIKE = 14.0  # log odds given to a rectangular target, which cannot differ from rectangles of nearly its size
 _CENTRAL = 1.96  # standard deviations about the plane within which 95 % of the returns lie
+_IN_PLANE = np.ix_([0, 4, 5], [0, 4, 5])  # rotation about the normal, y and z
 
 
 def edge_margin(scan: OrderedScan, target: Target, T_lidar_target: Floats, pose_sd: float) -> float:
@@ -42,8 +43,7 @@ def outline_error(estimate: PoseEstimate) -> float:
 
     An error of the plane moves outline and returns along the same rays, so the plane counts as exact.
     """
-    within = np.ix_([0, 4, 5], [0, 4, 5])  # rotation about the normal, y and z
-    given = np.linalg.inv(np.linalg.inv(estimate.covariance)[within])
+    given = np.linalg.inv(np.linalg.inv(estimate.covariance)[_IN_PLANE])
     return float(np.sqrt(np.linalg.eigvalsh(given[1:, 1:])[-1]))
 
 

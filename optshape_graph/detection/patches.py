@@ -115,8 +115,8 @@ def _mean_and_covariance(moments: Floats) -> tuple[Floats, Floats]:
 
 def _mean_square(normal: Floats, through: Floats, centre: Floats, covariance: Floats) -> Floats:
     """Return the mean square distance (P,) of segments from planes, square metres."""
-    offset = (normal * (centre - through)).sum(axis=1)
-    return np.asarray(offset**2 + np.einsum("pi,pij,pj->p", normal, covariance, normal))
+    offset = np.vecdot(normal, centre - through)
+    return np.asarray(offset**2 + np.vecdot(normal, np.vecdot(covariance, normal[:, None])))
 
 
 def _supported_planes(
@@ -146,7 +146,7 @@ def _supported_planes(
     depth /= np.maximum(np.linalg.norm(depth, axis=1, keepdims=True), 1e-9)
     up = np.cross(along, depth)
     to = centre[t] - centre[s]
-    a, b = (to * depth[s]).sum(axis=1), (to * up[s]).sum(axis=1)
+    a, b = np.vecdot(to, depth[s]), np.vecdot(to, up[s])
     tilt = np.arctan2(a, b)  # of the plane from upright, modulo pi
     tilt = (tilt + np.pi / 2) % np.pi - np.pi / 2
     votes = np.flatnonzero((np.hypot(a, b) > baseline) & (np.abs(tilt) < options.steepest))

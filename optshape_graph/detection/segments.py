@@ -131,9 +131,9 @@ class OrderedScan(Value):
         rows = self._rows
         if reach >= away:
             return rows
-        middle, half = np.arctan2(centre[1], centre[0]), np.arcsin(reach / away) + 1e-9
-        windows = [np.clip([middle - half + turn, middle + half + turn], -np.pi, np.pi) for turn in _TURNS]
-        ends = np.array([window for window in windows if window[0] < window[1]])
+        middle, half = float(np.arctan2(centre[1], centre[0])), float(np.arcsin(reach / away)) + 1e-9
+        windows = [(max(middle - half + turn, -np.pi), min(middle + half + turn, np.pi)) for turn in _TURNS]
+        ends = np.array([(first, last) for first, last in windows if first < last])
         places = _position(np.arange(len(self.elevations))[:, None, None], ends)
         first = np.searchsorted(self._positions, places[..., 0].ravel(), "left")
         last = np.searchsorted(self._positions, places[..., 1].ravel(), "right")
@@ -155,16 +155,26 @@ def order_scan(scan: Scan, options: DetectionOptions, fired: Fired | None = None
     if len(scan) == 0 or scan.ring.min() == scan.ring.max():
         raise EstimationError(f"{scan.name}: returns on {min(len(scan), 1)} rings; a target needs several")
     azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
-    # Once sorted by ring, whose numbers are small, the returns are mostly in order: both sorts are linear.
-    by_ring = np.argsort(scan.ring.astype(np.uint16), kind="stable")
-    order = by_ring[np.argsort(_position(scan.ring, azimuth)[by_ring], kind="stable")]
-    points, ring, azimuth = scan.points.take(order, axis=0), scan.ring[order], azimuth[order]
-    ranges = np.sqrt(np.einsum("ni,ni->n", points, points))
+    order = _in_order(scan.ring, azimuth)
+    points, ring, azimuth = scan.points.take(order, axis=0), scan.ring.take(order), azimuth.take(order)
+    x, y, z = points.T
+    ranges = np.sqrt(x * x + y * y + z * z)
     resolution = _resolution(scan, azimuth, ring)
     starts = _starts(ring, azimuth, ranges, resolution, options)
     elevations = scan.sensor.elevations if scan.sensor is not None else _elevations(points, ranges, ring)
     first = np.flatnonzero(starts)
     return OrderedScan(scan, fired, order, points, ring, azimuth, ranges, first, elevations, resolution, options)
+
+
+def _in_order(ring: Ints, azimuth: Floats) -> Ints:
+    """Return the rows (N,) by ring, and by azimuth in each.
+
+    Once sorted by ring, whose numbers are small, the returns are mostly in order: both sorts are linear.
+    """
+    if (ring[1:] >= ring[:-1]).all():
+        return np.argsort(_position(ring, azimuth), kind="stable")
+    by_ring = np.argsort(ring.astype(np.uint16), kind="stable")
+    return by_ring[np.argsort(_position(ring, azimuth)[by_ring], kind="stable")]
 
 
 def _position(ring: Ints, azimuth: Floats) -> Floats:

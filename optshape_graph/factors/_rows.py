@@ -102,7 +102,7 @@ def _by_parts(stack: Floats, k: int) -> Floats:
         row = rows[np.where(there, first_row[parts, None] + rank, 0)]
         R = factored(np.where(there[..., None], stack[row[..., None], places[:, None]], 0.0))
         whole[columns[..., None], places[:, None]] = R[:, :w]
-        left.extend(R[:, w:, w:])
+        left.append(R[:, w:, w:].reshape(-1, len(common)))
     whole[np.ix_(common, common)] = triangular(np.vstack(left))
     return whole
 
@@ -113,10 +113,11 @@ def _parts(columns: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     Rows are of none where columns (m, k) are all zero, columns where most rows have them.
     """
     m, k = columns.shape
-    there = columns != 0
-    count = np.count_nonzero(there, axis=0)
-    own = count <= COMMON * np.median(count[count > 0]) if count.any() else count > 0
-    row, column = np.divmod(np.flatnonzero(there & own), k)
+    row, column = np.divmod(np.flatnonzero(columns != 0), k)
+    count = np.bincount(column, minlength=k)
+    some = np.sort(count[count > 0])
+    own = count <= COMMON * some[len(some) // 2] if len(some) else count > 0
+    row, column = row[own[column]], column[own[column]]
     label = np.arange(k)
     while True:  # the smallest label goes from column to row to column
         of_row, spread = np.full(m, k), label.copy()

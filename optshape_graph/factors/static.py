@@ -279,9 +279,7 @@ class BiasedMeasurement(Value):
         sigmas = np.broadcast_to(np.asarray(sigma, float), (k,))
         if not (np.isfinite(sigmas).all() and (sigmas >= 0).all()):
             raise InputError(f"standard deviations of shared errors are {sigmas}; expected finite numbers >= 0")
-        B = self.stack[:k, :k] * sigmas
-        root = np.linalg.cholesky(np.eye(k) + B @ B.T)  # of what the first k rows are off by
-        rows = np.vstack([np.linalg.solve(root, self.stack[:k, k:]), self.stack[k:, k:]])
+        rows = marginalised(self.stack[:, :k] * sigmas, self.stack[:, k:])
         return TemplateMeasurement.from_stack(rows, self.n_rows, self.T_target_lidar)
 
     def of_one_scan(self) -> TemplateMeasurement:

@@ -12,6 +12,8 @@ from optshape_graph.pose.ends.posterior import Posterior
 from optshape_graph.pose.ends.propagation import DAMPING, GRAZING, INWARDS, LARGEST_STEP, WEAK_PRIOR
 from optshape_graph.pose.ends.ring_ends import EdgeGeometry, RingEnds
 
+_MODEL = structure(INWARDS, GRAZING, LARGEST_STEP, DAMPING, *np.diag(WEAK_PRIOR).tolist())
+
 
 def propagate_compiled(
     functions: CDLL, ends: RingEnds, scan: Ints, T: Floats, geometry: EdgeGeometry, sweeps: int
@@ -38,10 +40,9 @@ def propagate_compiled(
         sigma=np.empty(of_ends),
         log_likelihood=np.empty(count),
     )
-    model = structure(INWARDS, GRAZING, LARGEST_STEP, DAMPING, *np.diag(WEAK_PRIOR).tolist())
     poses, seen = np.ascontiguousarray(T), structure(*vars(geometry).values())
     out = structure(*(value for value in vars(posterior).values() if value is not geometry))
-    before = (*map(address, (ends.laid_out[0], model)), count, *map(address, (scan, poses, seen)))
+    before = (*map(address, (ends.laid_out[0], _MODEL)), count, *map(address, (scan, poses, seen)))
     if functions.propagate(*before, sweeps, address(out)):
         raise MemoryError
     return posterior

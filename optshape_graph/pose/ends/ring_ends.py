@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from ctypes import CDLL
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -271,7 +271,7 @@ class RingEnds(Value):
 
     def _geometry(self, functions: CDLL, T: Floats, labels: Ints | None, scan: Ints | None) -> EdgeGeometry:
         """Look at the ring ends from poses by the compiled library, as `geometry` does."""
-        shape, table = (len(T), self.there.shape[1]), outermost_table()
+        shape = len(T), self.there.shape[1]
         if scan is None:
             scan = np.arange(len(T)) if len(self.there) > 1 else np.zeros(len(T), dtype=np.int64)
         assert len(scan) == len(T), "each pose is of a scan"
@@ -281,9 +281,11 @@ class RingEnds(Value):
             given[:] = labels
         made = {name: np.empty((*shape, 3) if name == "direction" else shape) for name in _MADE}
         geometry = EdgeGeometry(given, **made)
-        scatter, out = structure(float(Beam.OWN), len(table[0]), *table), structure(given, *made.values())
+        out = structure(given, *made.values())
         poses = np.ascontiguousarray(T)
-        functions.edge_geometry(*map(address, (self.laid_out[0], scatter)), len(T), *map(address, (scan, poses, out)))
+        functions.edge_geometry(
+            *map(address, (self.laid_out[0], _scatter())), len(T), *map(address, (scan, poses, out))
+        )
         return geometry
 
     def geometry(self, T: Floats, labels: Ints | None = None, scan: Ints | None = None) -> EdgeGeometry:
@@ -343,6 +345,13 @@ class RingEnds(Value):
         ahead = np.where(speed > scale, -beyond / np.maximum(speed, scale), np.inf)
         leaves = np.isfinite(ahead.min(axis=-1))
         return np.asarray(np.where(leaves, ahead.argmin(axis=-1), np.abs(beyond).argmin(axis=-1)))
+
+
+@cache
+def _scatter() -> Ints:
+    """Return the beam and the table of outermost returns, (K,) numbers, as the compiled library has them."""
+    table = outermost_table()
+    return structure(float(Beam.OWN), len(table[0]), *table)
 
 
 _LAID_OUT = (

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from math import lgamma
 
 import numpy as np
@@ -64,6 +65,33 @@ class Components(Value):
     mean: Floats
     covariance: Floats
     weight: Floats
+
+    @cached_property
+    def roots(self) -> Floats:
+        """(C, 7, 7) lower triangular roots of the covariances."""
+        return np.asarray(np.linalg.cholesky(self.covariance))
+
+    @cached_property
+    def whitening(self) -> Floats:
+        """(C, 7, 7) inverses of the roots."""
+        return np.asarray(np.linalg.inv(self.roots))
+
+    @cached_property
+    def T_inverse(self) -> Floats:
+        """(C, 4, 4) of the base poses."""
+        return inverse(self.T)
+
+    @cached_property
+    def quaternions(self) -> Floats:
+        """(C, 4, 4) what a pose's quaternion is multiplied by to be about the base."""
+        return quaternions_from(self.T)
+
+    @cached_property
+    def log_peak(self) -> Floats:
+        """(C,) logarithm of weight times density at the mean."""
+        scale = np.log(np.diagonal(self.roots, axis1=1, axis2=2)).sum(axis=1)
+        constant = lgamma((FREEDOM + 7) / 2) - lgamma(FREEDOM / 2) - 3.5 * np.log(FREEDOM * np.pi)
+        return np.asarray(constant - scale + np.log(self.weight))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,26 +171,21 @@ def _draw(components: Components, symmetries: Floats, rng: np.random.Generator) 
     """Draw poses and scalars from the components."""
     count = rng.multinomial(SAMPLES, components.weight)
     which = np.repeat(np.arange(len(count)), count)
-    roots: Floats = np.asarray(np.linalg.cholesky(components.covariance))
     t = rng.standard_normal((SAMPLES, 7)) / np.sqrt(rng.chisquare(FREEDOM, SAMPLES) / FREEDOM)[:, None]
-    xi = components.mean[which] + (roots[which] @ t[..., None])[..., 0]
+    xi = components.mean[which] + (components.roots[which] @ t[..., None])[..., 0]
     T = components.T[which] @ transform(rotation(xi[:, :3]), xi[:, 3:6])
     return Draws(T, xi[:, 6], quaternion(T[:, None, :3, :3] @ symmetries[:, :3, :3]))
 
 
 def _log_components(components: Components, draws: Draws) -> tuple[Floats, Floats]:
     """Logarithm (C, S) of weight times density of each component, and where it has each sample (C, 7, S)."""
-    roots: Floats = np.asarray(np.linalg.cholesky(components.covariance))
-    base, whitening = inverse(components.T), np.linalg.inv(roots)
-    scale = np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
-    constant = lgamma((FREEDOM + 7) / 2) - lgamma(FREEDOM / 2) - 3.5 * np.log(FREEDOM * np.pi) - scale
-    constant = constant + np.log(components.weight)
+    base, log_peak = components.T_inverse, components.log_peak
     places = np.ascontiguousarray(draws.T[:, :3, 3].T)
     charts, compiled = np.empty((len(base), 7, len(draws.T))), library()
     if compiled is not None:
         log = np.empty((len(base), len(draws.T)))
         quaternions = draws.quaternions.transpose(1, 2, 0)
-        arrays = (quaternions_from(components.T), base[:, :3], whitening, components.mean, constant, quaternions)
+        arrays = components.quaternions, base[:, :3], components.whitening, components.mean, log_peak, quaternions
         laid = [np.ascontiguousarray(array) for array in (*arrays, places, draws.scalar)]
         counts = (len(base), len(draws.T), len(quaternions))
         compiled.log_components(*counts, *map(address, laid), FREEDOM, address(log), address(charts))
@@ -170,11 +193,11 @@ def _log_components(components: Components, draws: Draws) -> tuple[Floats, Float
     charts[:, :3], per_sine = turns_between(components.T, draws.quaternions)
     charts[:, 3:6] = base[:, :3, :3] @ places + base[:, :3, 3:]
     charts[:, 6] = draws.scalar
-    white = whitening @ (charts - components.mean[..., None])
+    white = components.whitening @ (charts - components.mean[..., None])
     squared = (white * white).sum(axis=1)
     # How much volume of rotations a volume of rotation vectors covers there: (2 sin(x / 2) / x)^2.
     volume = -2 * np.log(0.5 * per_sine)
-    return constant[:, None] - 0.5 * (FREEDOM + 7) * np.log1p(squared / FREEDOM) - volume, charts
+    return log_peak[:, None] - 0.5 * (FREEDOM + 7) * np.log1p(squared / FREEDOM) - volume, charts
 
 
 def _refitted(components: Components, share: Floats, charts: Floats) -> Components:
@@ -209,7 +232,8 @@ def _refitted(components: Components, share: Floats, charts: Floats) -> Componen
 def _tempered(weight: Floats) -> tuple[Floats, float]:
     """Weights (S,) that sum to 1, a power of those given, and how many samples they are worth."""
     for power in (1.0, 0.5, 0.25, 0.125):
-        p = weight**power / (weight**power).sum()
+        p = weight**power
+        p /= p.sum()
         effective = 1.0 / float((p**2).sum())
         if effective > FEW:
             break
