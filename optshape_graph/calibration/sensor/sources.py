@@ -70,7 +70,7 @@ class Opened(Value):
             raise InputError("nothing to calibrate: no session and no recording")
         shown = set[Path]()
         for one in opened:
-            clouds = [view.cloud for view in one.views] if isinstance(one, Session) else []
+            clouds = [view.scan for view in one.views if view.scan] if isinstance(one, Session) else []
             files = {path.resolve() for path in (one.path, *clouds) if path.exists()}
             if again := sorted(files & shown):
                 raise InputError(f"{again[0]}: given twice; what it shows counts once")

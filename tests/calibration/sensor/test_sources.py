@@ -99,7 +99,7 @@ def test_clouds_of_two_sessions_count_once(tmp_path: Path) -> None:
     """A copy of a session's file shows nothing new."""
     (tmp_path / "3.pcd").write_text("")
     first = session()
-    views = tuple(replace(view, cloud=tmp_path / str(view.cloud)) for view in first.views)
+    views = tuple(replace(view, scan=tmp_path / str(view.scan)) for view in first.views)
     sessions = [replace(first, path=Path(name), views=views) for name in ("session.yaml", "copy.yaml")]
     with pytest.raises(InputError, match=r"3\.pcd: given twice"):
         Opened.of(sessions, (), None)
