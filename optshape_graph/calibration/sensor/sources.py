@@ -68,9 +68,13 @@ class Opened(Value):
         recordings = [one for one in opened if isinstance(one, Recording)]
         if not opened:
             raise InputError("nothing to calibrate: no session and no recording")
-        paths = [one.path.resolve() for one in opened if one.path.exists()]
-        if again := next((path for k, path in enumerate(paths) if path in paths[:k]), None):
-            raise InputError(f"{again}: given twice; what it shows counts once")
+        shown = set[Path]()
+        for one in opened:
+            clouds = [view.scan for view in one.views if view.scan] if isinstance(one, Session) else []
+            files = {path.resolve() for path in (one.path, *clouds) if path.exists()}
+            if again := sorted(files & shown):
+                raise InputError(f"{again[0]}: given twice; what it shows counts once")
+            shown |= files
         if lidar is not None and len(recordings) == len(opened):
             raise InputError(f"LiDAR '{lidar}': only a session names LiDARs, and there is none")
         if topic is not None and not recordings:

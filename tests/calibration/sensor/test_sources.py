@@ -93,3 +93,13 @@ def test_motion_capture_of_several_boards() -> None:
     several = replace(session(), mocap=object())  # type: ignore[arg-type]  # that there is any is enough
     with pytest.raises(InputError, match="used with one board; the sessions name left, right"):
         Opened.of([several], (), None).check([], False)
+
+
+def test_clouds_of_two_sessions_count_once(tmp_path: Path) -> None:
+    """A copy of a session's file shows nothing new."""
+    (tmp_path / "3.pcd").write_text("")
+    first = session()
+    views = tuple(replace(view, scan=tmp_path / str(view.scan)) for view in first.views)
+    sessions = [replace(first, path=Path(name), views=views) for name in ("session.yaml", "copy.yaml")]
+    with pytest.raises(InputError, match=r"3\.pcd: given twice"):
+        Opened.of(sessions, (), None)
