@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import chdtrc, expit
 
 from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.detection.candidates import Candidate
@@ -19,6 +19,7 @@ from optshape_graph.target import Target
 
 _ALIKE = 14.0  # log odds given to a rectangular target, which cannot differ from rectangles of nearly its size
 _CENTRAL = 1.96  # standard deviations about the plane within which 95 % of the returns lie
+_BY_CHANCE = 1e-3  # probability of ring ends as far off an outline as seen, above which it counts as theirs
 
 
 def edge_margin(scan: OrderedScan, target: Target, T_lidar_target: Floats, pose_sd: float) -> float:
@@ -91,9 +92,9 @@ def _met(scan: OrderedScan, estimate: PoseEstimate, rows: Ints) -> tuple[Floats,
 def _bounded(scan: OrderedScan, candidate: Candidate, estimate: PoseEstimate, margin: float) -> float:
     """Return the share of `Evidence.bounded`.
 
-    An end is beyond the outline if the last two returns of its ring are, since the last alone may be mixed. What is no
-    wider than a limb has been taken off the surface before. Fewer than `fewest_returns` ends say nothing: something
-    that touches the target may have both ends of a ring.
+    An end is beyond the outline if the last two returns of its ring are, since the last alone may be mixed. One end
+    alone is a stray. Where the ends on the outline fit it up to chance, what goes on beyond is of a stand or of a hand;
+    another shape, cut to this one, leaves ends that miss it, too.
 
     Args:
         scan: the ordered scan.
@@ -101,13 +102,16 @@ def _bounded(scan: OrderedScan, candidate: Candidate, estimate: PoseEstimate, ma
         estimate: the pose.
         margin: distance from the outline, metres, within which a return may be the target's.
     """
+    fit = estimate.fit
+    if chdtrc(max(fit.edge_freedom, 1), fit.edge_chi_square) > _BY_CHANCE:
+        return 1.0
     inward = np.repeat([1, -1], len(candidate.ends) // 2)
     before = (candidate.ends + inward).clip(0, len(scan) - 1)
     last_two = np.concatenate([candidate.ends, before])
     beyond = estimate.target.outside_distance(_met(scan, estimate, last_two)[0]) > margin
     beyond &= np.isin(last_two, candidate.rows)
     count = int(beyond.reshape(2, -1).all(axis=0).sum())
-    return 1.0 - count / len(candidate.ends) if count >= scan.options.fewest_returns else 1.0
+    return 1.0 - count / len(candidate.ends) if count > 1 else 1.0
 
 
 def judge(
