@@ -98,7 +98,7 @@ class DetectionOptions:
     )  # fmt: skip
     sure_evidence: Evidence = field(
         default=Evidence(
-            contained=0.9, bounded=0.95, covered=0.75, edged=0.85, solid=0.9, free=0.8, stepped=0.85, apart=0.8,
+            contained=0.9, bounded=0.97, covered=0.75, edged=0.85, solid=0.9, free=0.8, stepped=0.85, apart=0.8,
             seen=0.7, distinct=0.999,
         )
     )  # fmt: skip
