@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import chdtrc, expit
 
 from optshape_graph._arrays import Bools, Floats, Ints
 from optshape_graph.detection.candidates import Candidate
@@ -20,6 +20,7 @@ from optshape_graph.target import Target
 _ALIKE = 14.0  # log odds given to a rectangular target, which cannot differ from rectangles of nearly its size
 _CENTRAL = 1.96  # standard deviations about the plane within which 95 % of the returns lie
 _IN_PLANE = np.ix_([0, 4, 5], [0, 4, 5])  # rotation about the normal, y and z
+_BY_CHANCE = 1e-3  # probability of ring ends as far off an outline as seen, above which it counts as theirs
 
 
 def edge_margin(scan: OrderedScan, target: Target, T_lidar_target: Floats, pose_sd: float) -> float:
@@ -75,14 +76,42 @@ def undoubted(scan: OrderedScan, estimate: PoseEstimate, rows: Ints) -> Bools:
     Part of the light of a return from the rim may come from behind, and the outline's place has an error; so a return
     must be more than a standard deviation of the position inside. All but the outermost 5 % are close to the plane.
     """
-    T = estimate.T_target_lidar
+    yz, behind = _met(scan, estimate, rows)
+    inset = min(outline_error(estimate), 0.1 * float(estimate.target.offsets.min()))
+    return np.asarray(estimate.target.contains(yz, -inset) & (np.abs(behind) <= _CENTRAL * estimate.plane_rms))
+
+
+def _met(scan: OrderedScan, estimate: PoseEstimate, rows: Ints) -> tuple[Floats, Floats]:
+    """Return where the rays of returns (N,) meet the target's plane, (N, 2), and how far behind it they end, metres."""
     points = scan.points[rows]
     normal, distance = estimate.plane[:3], -estimate.plane[3]
-    on_plane = points * (distance / (points @ normal))[:, None]
-    yz = apply(T, on_plane)[:, 1:]
-    inset = min(outline_error(estimate), 0.1 * float(estimate.target.offsets.min()))
-    behind = points @ normal - distance
-    return np.asarray(estimate.target.contains(yz, -inset) & (np.abs(behind) <= _CENTRAL * estimate.plane_rms))
+    along = points @ normal
+    return apply(estimate.T_target_lidar, points * (distance / along)[:, None])[:, 1:], along - distance
+
+
+def _bounded(scan: OrderedScan, candidate: Candidate, estimate: PoseEstimate, margin: float) -> float:
+    """Return the share of `Evidence.bounded`.
+
+    An end is beyond the outline if the last two returns of its ring are, since the last alone may be mixed. One end
+    alone is a stray. Where the ends on the outline fit it up to chance, what goes on beyond is of a stand or of a hand;
+    another shape, cut to this one, leaves ends that miss it, too.
+
+    Args:
+        scan: the ordered scan.
+        candidate: the surface.
+        estimate: the pose.
+        margin: distance from the outline, metres, within which a return may be the target's.
+    """
+    fit = estimate.fit
+    if chdtrc(max(fit.edge_freedom, 1), fit.edge_chi_square) > _BY_CHANCE:
+        return 1.0
+    inward = np.repeat([1, -1], len(candidate.ends) // 2)
+    before = (candidate.ends + inward).clip(0, len(scan) - 1)
+    last_two = np.concatenate([candidate.ends, before])
+    beyond = estimate.target.outside_distance(_met(scan, estimate, last_two)[0]) > margin
+    beyond &= np.isin(last_two, candidate.rows)
+    count = int(beyond.reshape(2, -1).all(axis=0).sum())
+    return 1.0 - count / len(candidate.ends) if count > 1 else 1.0
 
 
 def judge(
@@ -129,6 +158,7 @@ def judge(
     apart, seen = _beyond_sides(scan, estimate, rays, fired, band)
     return Evidence(
         contained=float(contained[candidate.rows].mean()),
+        bounded=_bounded(scan, candidate, estimate, margin + max(look.shift, 0.0)),
         covered=min(n_on / expected, 1.0),
         edged=look.edged,
         solid=n_on / max(n_on + float((inside & through).sum()), 1.0),
@@ -144,6 +174,7 @@ def objections(evidence: Evidence, least: Evidence) -> list[str]:
     """Return the reasons against a target that must reach the `least` shares, the largest shortfall first."""
     reasons = {
         "contained": f"{1 - evidence.contained:.0%} of the connected returns lie outside its outline",
+        "bounded": f"the surface goes on beyond its outline at {1 - evidence.bounded:.0%} of the ends of its rings",
         "covered": f"only {evidence.covered:.0%} of the rays that should meet it return from its plane",
         "edged": f"only {evidence.edged:.0%} of the ends of its rings lie on its outline",
         "solid": f"{1 - evidence.solid:.0%} of the returns inside its outline come from behind it",

@@ -92,14 +92,14 @@ class DetectionOptions:
     limb_slack: float = 3.0
     least_evidence: Evidence = field(
         default=Evidence(
-            contained=0.8, covered=0.6, edged=0.75, solid=0.9, free=0.75, stepped=0.75, apart=0.5, seen=0.4,
-            distinct=1e-4,
+            contained=0.8, bounded=0.75, covered=0.6, edged=0.75, solid=0.9, free=0.75, stepped=0.75, apart=0.5,
+            seen=0.4, distinct=1e-4,
         )
     )  # fmt: skip
     sure_evidence: Evidence = field(
         default=Evidence(
-            contained=0.9, covered=0.75, edged=0.85, solid=0.9, free=0.8, stepped=0.85, apart=0.8, seen=0.7,
-            distinct=0.999,
+            contained=0.9, bounded=0.97, covered=0.75, edged=0.85, solid=0.9, free=0.8, stepped=0.85, apart=0.8,
+            seen=0.7, distinct=0.999,
         )
     )  # fmt: skip
     rim: float = 0.4

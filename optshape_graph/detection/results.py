@@ -23,6 +23,8 @@ class Evidence(Value):
 
     Attributes:
         contained: of the connected returns in its plane, the share inside its outline.
+        bounded: of the ends of the connected rings, the share beyond which the surface does not go on outside its
+            outline; 1 where the ends on the outline fit it up to chance, as they do not if another shape is cut to it.
         covered: of the rays that should meet it, except occluded ones, the share that returns from its plane.
         edged: of the ends of its rings, the share on its outline.
         solid: of the returns from inside its outline, in its plane or behind, the share that is not behind.
@@ -38,6 +40,7 @@ class Evidence(Value):
     """
 
     contained: float
+    bounded: float
     covered: float
     edged: float
     solid: float

@@ -75,7 +75,7 @@ WRONG = [
     ("limb_slack", -20.0, with_arm), ("rim", 0.01, free), ("side_strip", 2.0, before_a_wall),
     ("hung_before", 2.0, before_a_wall),
     ("pierced_share", 0.1, with_pole), ("first_look", 1.1, free),
-    ("least_evidence", Evidence(*[2.0] * 9), free), ("sure_evidence", Evidence(*[2.0] * 9), free),
+    ("least_evidence", Evidence(*[2.0] * 10), free), ("sure_evidence", Evidence(*[2.0] * 10), free),
     ("pose", PoseOptions(ambiguity_margin=1e9), free), ("size_seen_hidden", 1.3, behind_a_post),
     ("size_seen_cut", 1.3, beyond_the_lowest_ring), ("first_look_odds", -1e3, among_others),
     ("tilt_window", 1e-4, in_the_hands), ("grazing", 0.1, in_the_hands), ("pierced_rays", 1000, in_the_hands),

@@ -45,7 +45,7 @@ def idle(monkeypatch: pytest.MonkeyPatch) -> None:
     def work(*_: object, **__: object) -> None:
         raise AssertionError("the work was begun")
 
-    for name in ("pose.files.estimate_poses", "detection.files.detect_targets", "mapping.observe.detect_in_scans"):
+    for name in ("pose.files.estimate_poses", "detection.files.detect_in_scans", "mapping.observe.detect_in_scans"):
         module, _, function = name.rpartition(".")
         monkeypatch.setattr(f"optshape_graph.{module}.{function}", work)
 
