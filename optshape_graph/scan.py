@@ -123,7 +123,7 @@ def without_duplicates(scan: Scan) -> tuple[Scan, int]:
     return scan.select(keep), int(again.sum())
 
 
-def returns_of(scan: Scan) -> Scan:
+def only_returns(scan: Scan) -> Scan:
     """Return a scan without the points that are no returns: at the sensor, or beyond `NO_RETURN_M`."""
     largest = np.abs(scan.points).max(axis=1, initial=0.0)
     there = (largest > AT_SENSOR_M) & (largest < NO_RETURN_M)

@@ -17,7 +17,7 @@ from optshape_graph.pose.options import PoseOptions
 from optshape_graph.pose.paper import find_as_paper
 from optshape_graph.pose.result import Ambiguity, PoseEstimate, Status
 from optshape_graph.pose.rings import find_by_rings
-from optshape_graph.scan import Scan, not_in_metres, put_right, returns_of, rings_from_the_top
+from optshape_graph.scan import Scan, not_in_metres, only_returns, put_right, rings_from_the_top
 from optshape_graph.se3 import inverse, inverse_covariance, vec_derivative
 from optshape_graph.target import Target
 
@@ -150,7 +150,7 @@ def _measured(
         elif scan.ring is not None and len(scan) > 2 and scan.ring.min() == scan.ring.max():
             found[k] = EstimationError(f"{len(scan)} returns on one ring; a pose takes two rings at least")
     good = [k for k in range(len(scans)) if k not in found]
-    right = [put_right(returns_of(scans[k])) for k in good]
+    right = [put_right(only_returns(scans[k])) for k in good]
     measured = measure(right, [targets[k] for k in good], options, as_recorded=method == "paper")
     found.update(zip(good, measured, strict=True))
     return [found[k] for k in range(len(scans))]
